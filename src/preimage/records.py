@@ -1,0 +1,124 @@
+"""The nouns that travel between rooms: what is sensed, shown, planned, tried and counted.
+
+All of them are frozen and hold NumPy arrays. Lengths are metres, angles radians, times seconds. A frame is `uint8` of shape
+(H, W, C); joints are `float64` of shape (J,), in the order of `joint_names`.
+
+>>> import numpy as np
+>>> frames, joints = np.zeros((3, 8, 8, 1), np.uint8), np.zeros((3, 2))
+>>> demonstration = Demonstration(frames, joints, rate_hz=10.0, joint_names=("yaw", "shoulder"))
+>>> len(demonstration), demonstration.last.joints.shape
+(3, (2,))
+"""
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+
+@dataclass(frozen=True, eq=False)
+class Percept:
+    """What is sensed at one step: a frame and the joint angles. A goal may leave one of the two out."""
+
+    frame: UInt8[np.ndarray, "H W C"] | None = None
+    joints: Float[np.ndarray, " J"] | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One placement of a task: where the arm starts and where the things of the task lie."""
+
+    task: str
+    """Name of the task, as on the command line."""
+    start_joints: tuple[float, ...]
+    """Joint angles before the first step (rad)."""
+    positions_m: Mapping[str, tuple[float, ...]]
+    """Positions by name, in the frame of the table: x away from the robot, y to its left, z up (m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """One recorded visuo-proprioceptive sequence of T steps.
+
+    Raises:
+        ValueError: the number of frames, joints and names do not fit together, or a joint angle is not finite.
+    """
+
+    frames: UInt8[np.ndarray, "T H W C"]
+    joints: Float[np.ndarray, "T J"]
+    rate_hz: float
+    joint_names: tuple[str, ...]
+    scene: Scene | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.frames) != len(self.joints):
+            raise ValueError(f"frames has {len(self.frames)} steps and joints {len(self.joints)}: give one of each per step")
+        if len(self.frames) < 2:
+            raise ValueError(f"a demonstration needs 2 steps or more (a start and a goal), this one has {len(self.frames)}")
+        if self.joints.shape[1] != len(self.joint_names):
+            raise ValueError(f"joints has {self.joints.shape[1]} angles a step, joint_names names {len(self.joint_names)}")
+        if not np.isfinite(self.joints).all():
+            step, joint = np.argwhere(~np.isfinite(self.joints))[0]
+            raise ValueError(f"joints holds {self.joints[step, joint]} at step {step}, joint {self.joint_names[joint]}")
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, step: int) -> Percept:
+        return Percept(self.frames[step], self.joints[step])
+
+    @property
+    def first(self) -> Percept:
+        return self[0]
+
+    @property
+    def last(self) -> Percept:
+        return self[-1]
+
+
+class Stopped(enum.Enum):
+    """Why a regression of the intention ended, and what to try if the plan is poor."""
+
+    ITERATIONS = "all iterations used; more iterations may lower the error further"
+    CONVERGED = "the error no longer falls; more candidates, not more iterations, could find a better plan"
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """An imagined way to a goal: T steps of frames and joints, of which the one at `arrival_step` shows the goal."""
+
+    frames: UInt8[np.ndarray, "T H W C"]
+    joints: Float[np.ndarray, "T J"]
+    arrival_step: int
+    """The step (0-based) whose imagined percept is nearest to the goal: T-hat of the paper. Execution ends there."""
+    rate_hz: float
+    joint_names: tuple[str, ...]
+    start: Percept
+    goal: Percept
+    error: float
+    """The prediction error of this very plan: start and goal, both modalities as far as given (equation 2)."""
+    errors: Float[np.ndarray, " iterations"]
+    """The lowest prediction error among the candidates, iteration by iteration."""
+    stopped: Stopped
+    seconds: float
+    """Wall time from the request to the plan."""
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One execution: what the robot sensed step by step, and how the task judged the end of it."""
+
+    frames: UInt8[np.ndarray, "T H W C"]
+    joints: Float[np.ndarray, "T J"]
+    end_effector_m: Float[np.ndarray, "T 3"]
+    deviation_m: float
+    """Distance between the end effector and the goal position after the last step."""
+    success: bool
+    scene: Scene
+    limited: tuple[str, ...] = field(default=())
+    """One sentence for every limit that changed the commanded joints."""
