@@ -78,6 +78,15 @@ class Demonstration:
         return self[-1]
 
 
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a run keeps of a demonstration it learned from: the way the arm took, and the picture it ended in."""
+
+    last_frame: UInt8[np.ndarray, "H W C"]
+    joints: Float[np.ndarray, "T J"]
+    rate_hz: float
+
+
 class Stopped(enum.Enum):
     """Why a regression of the intention ended, and what to try if the plan is poor."""
 

@@ -1,0 +1,65 @@
+"""The prediction error: of whole sequences (training, recognition) and of a start and a goal alone (planning).
+
+Vision is a squared error summed over pixels, the motors a Kullback-Leibler divergence summed over joints, KL(target || predicted); the
+paper writes the arguments the other way round, see docs/paper.md. Frames of another size are charged as if they had 64x64 pixels, so
+that the balance of the two modalities does not depend on the camera.
+
+>>> import torch
+>>> error = torch.tensor([[9.0, 4.0, 4.0, 8.0]])
+>>> int(arrival_step(error, delay_penalty=1.01))  # the first of two equal errors: arriving sooner is better
+1
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from preimage.model import Generated
+
+VISUAL_WEIGHT = 1 / 40
+"""Weight of the visual error beside the joints' KL: chosen so that both fall together (docs/log.md); the paper does not say."""
+REFERENCE_PIXELS = 64 * 64
+
+
+def visual_error(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*batch C H W"]) -> Float[Tensor, "*batch"]:
+    """Squared error summed over pixels, as of a frame of 64x64."""
+    scale = REFERENCE_PIXELS / (target.shape[-3] * target.shape[-2] * target.shape[-1])
+    return scale * (predicted - target).square().sum((-1, -2, -3))
+
+
+def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Float[Tensor, "*batch J K"]) -> Float[Tensor, "*batch"]:
+    """KL(target || predicted) of the codes, summed over joints (nats)."""
+    return (torch.special.xlogy(target, target) - target * log_predicted).sum((-1, -2))
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceError:
+    """Mean error of a percept, one value per sequence."""
+
+    visual: Float[Tensor, " B"]
+    proprioceptive: Float[Tensor, " B"]
+
+    @property
+    def total(self) -> Float[Tensor, " B"]:
+        return VISUAL_WEIGHT * self.visual + self.proprioceptive
+
+
+def sequence_error(
+    generated: Generated,
+    pixels: Float[Tensor, "B T C H W"],
+    codes: Float[Tensor, "B T J K"],
+    mask: Float[Tensor, "B T"],
+) -> SequenceError:
+    """Both modalities' errors against a full sequence (equation 1), averaged over the steps where mask is 1."""
+    steps = mask.sum(1)
+    visual = (visual_error(generated.pixels, pixels) * mask).sum(1) / steps
+    proprioceptive = (proprioceptive_error(generated.log_codes, codes) * mask).sum(1) / steps
+    return SequenceError(visual, proprioceptive)
+
+
+def arrival_step(goal_error: Float[Tensor, "B T"], *, delay_penalty: float) -> Int[Tensor, " B"]:
+    """The step whose error times delay_penalty^t is smallest: T-hat of the paper. Where two are equal the earlier wins."""
+    steps = torch.arange(goal_error.shape[1], device=goal_error.device)
+    return (goal_error.detach() * delay_penalty**steps).argmin(1)

@@ -1,0 +1,221 @@
+"""Figures in the manner of the paper's figures 3 to 5, and the learning curve of a run.
+
+Only matplotlib's object interface is used: no pyplot, no backend chosen for anybody else.
+"""
+
+import json
+import os
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from jaxtyping import Int, Shaped
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.lines import Line2D
+
+from preimage.records import Plan, Trial
+from preimage.report.films import as_rgb
+from preimage.report.whole_file import whole_file
+
+NUM_COLUMNS = 8
+"""Frames shown of a sequence, evenly spaced up to arrival."""
+WIDTH_INCHES, DOTS_PER_INCH = 10.0, 130
+INK, MUTED, ARRIVAL, SUCCESS, FAILURE = "#1c2430", "#66707d", "#c47f00", "#12804a", "#c0322b"
+
+
+def figure(plan: Plan, trial: Trial | None, path: str | os.PathLike[str]) -> Path:
+    """Writes a PNG: initial and goal frame, the imagined and the executed sequence, and below them the joint curves.
+
+    Joints are in degrees; what is named a gripper or a finger does not turn and gets a strip of its own, in the unit it came in.
+    """
+    num_rows = 2 if trial is None else 3
+    height, width = plan.frames.shape[1:3]
+    row_inches = WIDTH_INCHES * 0.86 / NUM_COLUMNS * height / width + 0.24
+    strips = _strips(plan.joint_names)
+    strip_inches = [3.0 if unit == "deg" else 1.0 for unit in strips]
+    head_inches, gap_inches, foot_inches = 0.75, 0.35, 0.5
+    frames_inches, curves_inches = num_rows * row_inches, sum(strip_inches)
+    total = head_inches + frames_inches + gap_inches + curves_inches + foot_inches
+
+    drawing = Figure(figsize=(WIDTH_INCHES, total), dpi=DOTS_PER_INCH, facecolor="white")
+    FigureCanvasAgg(drawing)
+    _draw_title(drawing, plan, trial, total)
+    upper = GridSpec(
+        num_rows, NUM_COLUMNS, drawing, left=0.1, right=0.98, wspace=0.06, hspace=0.24 / row_inches,
+        top=1 - head_inches / total, bottom=1 - (head_inches + frames_inches) / total,
+    )  # fmt: skip
+    _draw_frames(drawing, upper, plan, trial)
+    lower = GridSpec(
+        len(strips), 1, drawing, left=0.1, right=0.82, hspace=0.12, height_ratios=strip_inches,
+        top=(foot_inches + curves_inches) / total, bottom=foot_inches / total,
+    )  # fmt: skip
+    _draw_curves(drawing, lower, strips, plan, trial)
+    return _save(drawing, path)
+
+
+def learning_curve(log_jsonl_path: str | os.PathLike[str], path: str | os.PathLike[str]) -> Path:
+    """Writes a PNG of the vision error and the joint KL against updates, both on a logarithmic scale.
+
+    Args:
+        log_jsonl_path: the `log.jsonl` of a run. A last line cut short by a kill is left out; where a resumed run repeats an update,
+            the later line counts.
+
+    Raises:
+        ValueError: the log holds no update, or a line before the last is no JSON.
+    """
+    updates, visual, proprioceptive = _read_log(Path(log_jsonl_path))
+    drawing = Figure(figsize=(WIDTH_INCHES, 3.6), dpi=DOTS_PER_INCH, facecolor="white", layout="constrained")
+    FigureCanvasAgg(drawing)
+    named = (("vision: squared error", visual, "#1f6fb2"), ("joints: KL divergence", proprioceptive, "#b0562a"))
+    for column, (name, values, colour) in enumerate(named):
+        axes = drawing.add_subplot(1, 2, column + 1)
+        axes.plot(updates, values, color=colour, linewidth=1.4, marker="." if len(updates) < 40 else None)
+        axes.set_yscale("log")
+        axes.set_title(f"{name} ({values[-1]:.3g} at update {updates[-1]})", fontsize=11, loc="left", color=INK)
+        axes.set_xlabel("updates", fontsize=10)
+        axes.grid(which="major", color="#d5dae0", linewidth=0.8)
+        axes.grid(which="minor", color="#eceff2", linewidth=0.5)
+        _quiet(axes)
+    return _save(drawing, path)
+
+
+def _draw_title(drawing: Figure, plan: Plan, trial: Trial | None, total_inches: float) -> None:
+    title, colour = f"Imagined: arrives at {plan.arrival_step / plan.rate_hz:.1f} s", INK
+    if trial is not None:
+        title = f"{'Success' if trial.success else 'Failure'}: {trial.deviation_m * 100:.1f} cm from the goal"
+        colour = SUCCESS if trial.success else FAILURE
+    details = f"arrival step {plan.arrival_step} of {len(plan)}  ·  prediction error {plan.error:.4g}"
+    details += f"  ·  planned in {plan.seconds:.1f} s"
+    drawing.text(0.1, 1 - 0.16 / total_inches, title, fontsize=14, weight="bold", color=colour, va="top")
+    drawing.text(0.98, 1 - 0.2 / total_inches, details, fontsize=9.5, color=MUTED, va="top", ha="right")
+
+
+def _draw_frames(drawing: Figure, grid: GridSpec, plan: Plan, trial: Trial | None) -> None:
+    steps = np.unique(np.linspace(0, plan.arrival_step, NUM_COLUMNS).round().astype(int))
+    first = drawing.add_subplot(grid[0, 0])
+    _draw_frame(first, plan.start.frame, "initial")
+    _name_row(first, "given")
+    _draw_frame(drawing.add_subplot(grid[0, max(1, len(steps) - 1)]), plan.goal.frame, "goal")
+    _draw_sequence(drawing, grid, 1, "imagined", plan.frames, steps, plan.rate_hz)
+    if trial is not None:
+        seen = np.minimum(steps, len(trial.frames) - 1)
+        seen[-1] = len(trial.frames) - 1  # the column of the arrival shows how the execution ended
+        _draw_sequence(drawing, grid, 2, "executed", trial.frames, seen, plan.rate_hz)
+
+
+def _draw_sequence(
+    drawing: Figure,
+    grid: GridSpec,
+    row: int,
+    name: str,
+    frames: Shaped[np.ndarray, "T H W C"],
+    steps: Int[np.ndarray, " N"],
+    rate_hz: float,
+) -> None:
+    for column, step in enumerate(steps):
+        axes = drawing.add_subplot(grid[row, column])
+        _draw_frame(axes, frames[step], f"{step / rate_hz:.1f} s")
+        if column == 0:
+            _name_row(axes, name)
+
+
+def _draw_frame(axes: Axes, frame: Shaped[np.ndarray, "H W C"] | None, caption: str) -> None:
+    axes.set(xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set(color="#c3cad2", linewidth=0.8)
+    if frame is None:
+        axes.text(0.5, 0.5, "no image", transform=axes.transAxes, ha="center", va="center", fontsize=9, color=MUTED)
+    else:
+        axes.imshow(as_rgb(frame), interpolation="nearest")
+    axes.set_xlabel(caption, fontsize=9, color=INK, labelpad=2)
+
+
+def _name_row(axes: Axes, name: str) -> None:
+    axes.set_ylabel(name, fontsize=10.5, weight="bold", color=INK, labelpad=6)
+
+
+def _strips(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
+    """Indices of the joints that share an axis, by the unit written on it."""
+    slides = [i for i, name in enumerate(joint_names) if "gripper" in name.lower() or "finger" in name.lower()]
+    turns = [i for i in range(len(joint_names)) if i not in slides]
+    return {unit: joints for unit, joints in (("deg", turns), ("gripper", slides)) if joints}
+
+
+def _draw_curves(drawing: Figure, grid: GridSpec, strips: dict[str, list[int]], plan: Plan, trial: Trial | None) -> None:
+    colours = matplotlib.colormaps["tab10" if len(plan.joint_names) <= 10 else "tab20"].colors  # pyright: ignore[reportAttributeAccessIssue]
+    top: Axes | None = None
+    for row, (unit, joints) in enumerate(strips.items()):
+        axes = drawing.add_subplot(grid[row, 0], sharex=top)
+        top = top or axes
+        for joint in joints:
+            _draw_joint(axes, joint, unit, colours[joint % len(colours)], plan, trial)
+        axes.axvline(plan.arrival_step / plan.rate_hz, color=ARRIVAL, linewidth=1.2, linestyle=":")
+        axes.set_ylabel("joint angle (°)" if unit == "deg" else "gripper", fontsize=10)
+        axes.grid(color="#e6eaee", linewidth=0.7)
+        axes.margins(x=0.01)
+        axes.tick_params(labelbottom=row == len(strips) - 1)
+        _quiet(axes)
+        if row == len(strips) - 1:
+            axes.set_xlabel("time (s)", fontsize=10)
+    assert top is not None, "a plan without joints"
+    _draw_legend(top, colours, plan, trial)
+
+
+def _draw_joint(axes: Axes, joint: int, unit: str, colour: object, plan: Plan, trial: Trial | None) -> None:
+    """Planned up to arrival as a broad line, beyond it as a faint one; executed dashed on top."""
+    planned = _in_unit(plan.joints[:, joint], unit)
+    times, arrival = np.arange(len(planned)) / plan.rate_hz, plan.arrival_step
+    axes.plot(times[: arrival + 1], planned[: arrival + 1], color=colour, linewidth=2.6, alpha=0.55)
+    axes.plot(times[arrival:], planned[arrival:], color=colour, linewidth=1.2, alpha=0.25)
+    if trial is not None:
+        executed = _in_unit(trial.joints[:, joint], unit)
+        axes.plot(np.arange(len(executed)) / plan.rate_hz, executed, color=colour, linewidth=1.3, linestyle=(0, (4, 2)))
+
+
+def _draw_legend(axes: Axes, colours: tuple[object, ...], plan: Plan, trial: Trial | None) -> None:
+    names = plan.joint_names
+    handles = [Line2D([], [], color=colours[i % len(colours)], linewidth=2.6, label=name) for i, name in enumerate(names)]  # pyright: ignore[reportArgumentType]
+    handles.append(Line2D([], [], color=MUTED, linewidth=2.6, alpha=0.55, label="planned"))
+    if trial is not None:
+        handles.append(Line2D([], [], color=MUTED, linewidth=1.3, linestyle=(0, (4, 2)), label="executed"))
+    handles.append(Line2D([], [], color=ARRIVAL, linewidth=1.2, linestyle=":", label="arrival"))
+    size = 9 if len(names) <= 10 else 6
+    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.02), fontsize=size, frameon=False)
+
+
+def _in_unit(joints: Shaped[np.ndarray, " T"], unit: str) -> Shaped[np.ndarray, " T"]:
+    return np.degrees(joints) if unit == "deg" else joints
+
+
+def _quiet(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=9)
+
+
+def _save(drawing: Figure, path: str | os.PathLike[str]) -> Path:
+    path = Path(path)
+    with whole_file(path) as unfinished:
+        drawing.savefig(unfinished, format="png")
+    return path
+
+
+def _read_log(path: Path) -> tuple[list[int], list[float], list[float]]:
+    """Updates in order, with the vision error and the joint KL of each."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    rows: dict[int, tuple[float, float]] = {}
+    for number, line in enumerate(lines, start=1):
+        try:
+            entry = json.loads(line)
+        except json.JSONDecodeError as cause:
+            if number == len(lines):
+                break
+            raise ValueError(f"log_jsonl_path has a line {number} that is no JSON: {path}") from cause
+        if {"update", "visual", "proprioceptive"} <= entry.keys():
+            rows[entry["update"]] = (entry["visual"], entry["proprioceptive"])
+    if not rows:
+        raise ValueError(f"log_jsonl_path holds no update yet, train for a while first: {path}")
+    updates = sorted(rows)
+    return updates, [rows[u][0] for u in updates], [rows[u][1] for u in updates]

@@ -1,0 +1,192 @@
+"""Films of a plan: the goal | the imagined frames up to arrival | what the camera saw while executing.
+
+The panels run on one clock. The imagined film ends at the arrival step, the executed one with the trial; the one that ends first
+holds its last frame, and when both have ended the picture stays for one more second.
+"""
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import matplotlib
+import numpy as np
+from jaxtyping import Shaped, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from preimage.records import Plan, Trial
+from preimage.report.whole_file import whole_file
+
+PANEL_PIXELS = 256
+"""Frames are enlarged by the largest whole factor that keeps their longer side within this; larger frames stay as they are."""
+MARGIN, CAPTION, CLOCK = 16, 32, 36
+"""Pixels between panels, above them for their names, and below them for the clock."""
+MIN_COLUMN = 200
+"""A column is at least this wide, so that its caption fits."""
+HOLD_S = 1.0
+
+BACKGROUND, INK, MUTED, TRACK = "#15181e", "#f2f4f7", "#9aa4b2", "#2b313b"
+GOAL, IMAGINED, EXECUTED, SUCCESS, FAILURE = "#f2b84b", "#6cb2ff", "#c7a6ff", "#5fd38d", "#ff7b72"
+
+
+def as_rgb(frame: Shaped[np.ndarray, "H W C"]) -> UInt8[np.ndarray, "H W 3"]:
+    """The frame in colour: its first three channels where it has three or more, else its first one as grey."""
+    channels = frame[..., :3] if frame.shape[-1] >= 3 else frame[..., :1]
+    return np.array(np.broadcast_to(channels, (*frame.shape[:2], 3)), np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class _Panel:
+    """One column of the film: a name, the frames that run, and the words below when they have ended."""
+
+    name: str
+    colour: str
+    frames: UInt8[np.ndarray, "T H W C"] | None
+    verdict: str
+    verdict_colour: str
+    moves: bool = True
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """Where things stand in a picture of the film (pixels)."""
+
+    num_panels: int
+    frame_size: tuple[int, int]
+
+    @property
+    def column(self) -> int:
+        return max(self.frame_size[0], MIN_COLUMN)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, both even, as yuv420p asks."""
+        width = self.num_panels * (self.column + MARGIN) + MARGIN
+        height = CAPTION + self.frame_size[1] + CLOCK
+        return width + width % 2, height + height % 2
+
+    def left(self, panel: int) -> int:
+        return MARGIN + panel * (self.column + MARGIN)
+
+    def frame_corner(self, panel: int) -> tuple[int, int]:
+        return self.left(panel) + (self.column - self.frame_size[0]) // 2, CAPTION
+
+
+def film(plan: Plan, trial: Trial | None, path: str | os.PathLike[str]) -> Path:
+    """Writes the film of a plan, and of its execution where there was one, at the plan's rate.
+
+    Args:
+        path: ends in `.mp4` (H.264, plays in browsers) or `.gif`; missing folders are made.
+
+    Raises:
+        ValueError: the path ends in something else.
+    """
+    path = Path(path)
+    write = _WRITERS.get(path.suffix.lower())
+    if write is None:
+        raise ValueError(f"path ends in {path.suffix or 'no suffix'!r}, a film can be written as .mp4 or .gif: {path}")
+    with whole_file(path) as unfinished:
+        write(unfinished, list(_pictures(plan, trial)), plan.rate_hz)
+    return path
+
+
+def _panels(plan: Plan, trial: Trial | None) -> list[_Panel]:
+    goal = plan.goal.frame
+    shown = "the image given" if goal is not None else "given as joint angles"
+    panels = [
+        _Panel("goal", GOAL, None if goal is None else goal[None], shown, MUTED, moves=False),
+        _Panel("imagined", IMAGINED, plan.frames[: plan.arrival_step + 1], "arrived", IMAGINED),
+    ]
+    if trial is not None:
+        verdict = f"{trial.deviation_m * 100:.1f} cm off: {'success' if trial.success else 'failure'}"
+        panels.append(_Panel("executed", EXECUTED, trial.frames, verdict, SUCCESS if trial.success else FAILURE))
+    return panels
+
+
+def _pictures(plan: Plan, trial: Trial | None) -> Iterator[Image.Image]:
+    """The pictures of the film, one a step, without the hold at the end."""
+    panels = _panels(plan, trial)
+    stage = _Stage(len(panels), _enlarged_size(plan.frames.shape[2], plan.frames.shape[1]))
+    num_steps = max(len(panel.frames) for panel in panels if panel.frames is not None)
+    for step in range(num_steps):
+        picture = Image.new("RGB", stage.size, BACKGROUND)
+        for column, panel in enumerate(panels):
+            _draw_panel(picture, stage, column, panel, step, num_steps, plan.rate_hz)
+        yield picture
+
+
+def _draw_panel(picture: Image.Image, stage: _Stage, column: int, panel: _Panel, step: int, num_steps: int, rate_hz: float) -> None:
+    draw, left, bottom = ImageDraw.Draw(picture), stage.left(column), CAPTION + stage.frame_size[1]
+    draw.text((left, CAPTION // 2), panel.name, panel.colour, font=_font(16, bold=True), anchor="lm")
+    _draw_frame(picture, stage.frame_corner(column), stage.frame_size, panel, step)
+    if not panel.moves:
+        draw.text((left, bottom + CLOCK // 2 + 2), panel.verdict, MUTED, font=_font(13), anchor="lm")
+        return
+    assert panel.frames is not None
+    last = len(panel.frames) - 1
+    shown = min(step, last)
+    draw.rectangle((left, bottom + 4, left + stage.column - 1, bottom + 6), TRACK)
+    reached = round(stage.column * (shown + 1) / num_steps)
+    draw.rectangle((left, bottom + 4, left + reached - 1, bottom + 6), panel.colour)
+    middle = bottom + CLOCK // 2 + 4
+    draw.text((left, middle), f"{shown / rate_hz:.1f} s", INK, font=_font(13), anchor="lm")
+    if step >= last:
+        corner = (left + stage.column, middle)
+        draw.text(corner, panel.verdict, panel.verdict_colour, font=_font(13, bold=True), anchor="rm")
+
+
+def _draw_frame(picture: Image.Image, corner: tuple[int, int], size: tuple[int, int], panel: _Panel, step: int) -> None:
+    if panel.frames is None:
+        draw = ImageDraw.Draw(picture)
+        draw.rectangle((*corner, corner[0] + size[0] - 1, corner[1] + size[1] - 1), outline=TRACK)
+        draw.text((corner[0] + size[0] // 2, corner[1] + size[1] // 2), "no image", MUTED, font=_font(14), anchor="mm")
+    else:
+        frame = Image.fromarray(as_rgb(panel.frames[min(step, len(panel.frames) - 1)]))
+        picture.paste(frame.resize(size, Image.Resampling.NEAREST), corner)
+
+
+def _enlarged_size(width: int, height: int) -> tuple[int, int]:
+    factor = max(1, PANEL_PIXELS // max(width, height))
+    return width * factor, height * factor
+
+
+def _font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """DejaVu Sans as matplotlib ships it: there on every machine, and the letters of the figures."""
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(f"{matplotlib.get_data_path()}/fonts/ttf/{name}", size)
+
+
+def _write_mp4(path: Path, pictures: list[Image.Image], rate_hz: float) -> None:
+    held = [pictures[-1]] * max(1, math.floor(HOLD_S * rate_hz + 0.5))
+    with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
+        stream = container.add_stream("libx264", rate=Fraction(rate_hz).limit_denominator(1000))
+        stream.width, stream.height = pictures[0].size
+        stream.pix_fmt = "yuv420p"
+        stream.options = {"crf": "16"}
+        stream.thread_count = 1  # more threads would give other bits on other machines, and save milliseconds
+        for picture in pictures + held:
+            container.mux(stream.encode(av.VideoFrame.from_image(picture)))
+        container.mux(stream.encode(None))
+
+
+def _write_gif(path: Path, pictures: list[Image.Image], rate_hz: float) -> None:
+    palette = _shared_palette(pictures)
+    indexed = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    step_ms = max(20, round(100 / rate_hz) * 10)  # a GIF counts in hundredths; browsers slow down below two of them
+    durations = [step_ms] * (len(indexed) - 1) + [step_ms + round(HOLD_S * 1000)]
+    indexed[0].save(path, "GIF", save_all=True, append_images=indexed[1:], duration=durations, loop=0)
+
+
+def _shared_palette(pictures: list[Image.Image]) -> Image.Image:
+    """256 colours for the whole film. Every colour counts once, however rare, or the captions would lose theirs to the greys."""
+    chosen = np.unique(np.linspace(0, len(pictures) - 1, 8).round().astype(int))
+    pixels = np.concatenate([np.asarray(pictures[i], np.uint32).reshape(-1, 3) for i in chosen])
+    packed = np.unique(pixels @ np.array([1 << 16, 1 << 8, 1], np.uint32))
+    colours = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], -1).astype(np.uint8)
+    return Image.fromarray(colours[None]).quantize(256, Image.Quantize.MEDIANCUT)
+
+
+_WRITERS: dict[str, Callable[[Path, list[Image.Image], float], None]] = {".mp4": _write_mp4, ".gif": _write_gif}

@@ -1,0 +1,204 @@
+"""One page about an evaluation: the count and its interval, the baselines beside it, cases to look at, every goal.
+
+The page is one HTML file that opens from disk without a network. Films and figures stay files of their own; the page names them
+relative to its folder, so that a folder that holds all of them can be moved or sent as a whole.
+"""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from preimage.report.whole_file import whole_file
+
+SUCCESS_MEANS = "the robot ends within the tolerance of its task; for reaching, the hand within 4 cm of the goal position"
+
+_REQUIRED = ("task", "goals", "success", "interval", "deviation_cm", "rows", "baselines")
+_BASELINES = {
+    "nearest_demonstration": "nearest demonstration: replay the one whose last frame is most like the goal",
+    "do_nothing": "do nothing: the arm stays where it starts",
+}
+_LOOPS = {"closed": "plans executed without looking again", "open": "plans corrected step by step by what is sensed"}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One goal to look at on the page, reached or missed."""
+
+    name: str
+    film: Path
+    """An `.mp4` or `.gif` that `film` wrote."""
+    figure: Path
+    """A `.png` that `figure` wrote."""
+    deviation_m: float
+    success: bool
+
+
+def page(
+    results: Mapping[str, Any],
+    cases: Sequence[Case],
+    path: str | os.PathLike[str],
+    *,
+    title: str,
+    success_means: str = SUCCESS_MEANS,
+) -> Path:
+    """Writes the HTML report of an evaluation.
+
+    Args:
+        results: what `preimage evaluate` writes as JSON.
+        cases: shown in this order, failures marked.
+        success_means: ends the sentence "A goal counts as reached when ...", in plain words and without a full stop.
+
+    Raises:
+        ValueError: `results` lacks one of the entries of an evaluation.
+    """
+    lacking = [name for name in _REQUIRED if name not in results]
+    if lacking:
+        raise ValueError(f"results has no {', '.join(lacking)}; give the JSON that `preimage evaluate` writes")
+    path = Path(path)
+    body = [
+        f"<h1>{escape(title)}</h1>",
+        _facts(results),
+        _headline(results),
+        _explanation(success_means),
+        _comparison(results),
+        _cases(cases, path.parent),
+        _all_goals(results["rows"]),
+    ]
+    with whole_file(path) as unfinished:
+        unfinished.write_text(_document(title, "\n".join(body)), encoding="utf-8")
+    return path
+
+
+def _document(title: str, body: str) -> str:
+    style = files("preimage.report").joinpath("page.css").read_text(encoding="utf-8")
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
+    )
+
+
+def _facts(results: Mapping[str, Any]) -> str:
+    """The line under the title: what was evaluated, as far as the results say."""
+    named = (("model", "model {}"), ("size", "size {}"), ("num_demonstrations", "{} demonstrations"), ("seed", "seed {}"))
+    facts = [f"task {results['task']}"]
+    facts += [words.format(results[name]) for name, words in named if results.get(name) is not None]
+    if results.get("loop") in _LOOPS:
+        facts.append(f"{results['loop']} loop: {_LOOPS[results['loop']]}")
+    if results.get("seconds_per_plan") is not None:
+        facts.append(f"{_number(results['seconds_per_plan'], 1)} s a plan")
+    return f'<p class="facts">{escape(" · ".join(facts))}</p>'
+
+
+def _headline(results: Mapping[str, Any]) -> str:
+    k, n = results["success"], results["goals"]
+    return (
+        f'<div class="headline"><strong>{k}/{n}</strong> goals reached '
+        f"<span>{_percent(k / n)}, Wilson 95 % interval {_interval(results['interval'])}; "
+        f"deviation {_deviation(results['deviation_cm'])}</span></div>"
+    )
+
+
+def _explanation(success_means: str) -> str:
+    return (
+        "<p>The robot was shown a number of demonstrations and learned from them what its camera sees and how its joints move "
+        "along the way. Then it got goals it had never seen. A <b>goal</b> is a single picture of how the scene should look at the "
+        "end. From the picture it was given at the start and this one, the model <b>imagined</b> a whole way there: a short film and "
+        "the joint angles that belong to it. The robot then <b>executed</b> those joint angles, while the camera recorded what really "
+        f"happened. The deviation is what was left between hand and goal. A goal counts as reached when {escape(success_means)}.</p>"
+    )
+
+
+def _comparison(results: Mapping[str, Any]) -> str:
+    ours = _comparison_row("imagined plans", results, results["goals"], "ours")
+    rest = [
+        _comparison_row(_BASELINES.get(name, name.replace("_", " ")), baseline, results["goals"], "other")
+        for name, baseline in results["baselines"].items()
+    ]
+    return (
+        "<h2>Beside doing without a model</h2>\n"
+        '<div class="wide"><table>\n<tr><th>method</th><th>reached</th><th class="left whole">share of goals</th>'
+        f"<th>95 % interval</th><th>deviation (cm): mean</th><th>median</th><th>max</th></tr>\n{ours}\n{''.join(rest)}</table></div>\n"
+        '<p class="note">The thin line in each bar spans the Wilson 95 % interval.</p>'
+    )
+
+
+def _comparison_row(name: str, counts: Mapping[str, Any], num_goals: int, kind: str) -> str:
+    head, _, rest = name.partition(": ")
+    low, high = (100 * bound for bound in counts["interval"])
+    share = 100 * counts["success"] / num_goals
+    bar = f'<div class="track"><i style="width:{share:.1f}%"></i><b style="left:{low:.1f}%;width:{high - low:.1f}%"></b></div>'
+    numbers = "".join(f"<td>{_number(counts['deviation_cm'].get(key), 1)}</td>" for key in ("mean", "median", "max"))
+    described = f'<br><span class="note">{escape(rest)}</span>' if rest else ""
+    return (
+        f'<tr class="{kind}"><td><b>{escape(head)}</b>{described}</td><td><b>{counts["success"]}/{num_goals}</b></td>'
+        f'<td class="whole">{bar}</td><td>{_interval(counts["interval"])}</td>{numbers}</tr>\n'
+    )
+
+
+def _cases(cases: Sequence[Case], folder: Path) -> str:
+    if not cases:
+        return ""
+    missed = sum(not case.success for case in cases)
+    return (
+        f"<h2>{len(cases)} {'case' if len(cases) == 1 else 'cases'} to look at"
+        f"{f', {missed} of them missed' if missed else ''}</h2>\n"
+        '<p class="note">Each film runs the goal, the imagined way and the executed way side by side. Below it the same as a strip, '
+        "and the joint angles: planned as broad lines, executed dashed.</p>\n" + "\n".join(_case(case, folder) for case in cases)
+    )
+
+
+def _case(case: Case, folder: Path) -> str:
+    film, figure = _relative(case.film, folder), _relative(case.figure, folder)
+    label = escape(case.name, quote=True)
+    moving = f'<img src="{film}" alt="film of {label}">'
+    if case.film.suffix.lower() == ".mp4":
+        moving = f'<video src="{film}" controls loop muted autoplay playsinline aria-label="film of {label}"></video>'
+    return (
+        f'<section class="case {"success" if case.success else "failure"}"><h3>{escape(case.name)} '
+        f"<span>{_number(case.deviation_m * 100, 1)} cm off</span>{_verdict(case.success)}</h3>\n"
+        f'{moving}\n<a href="{figure}"><img src="{figure}" alt="frames and joint curves of {label}" loading="lazy"></a></section>'
+    )
+
+
+def _all_goals(rows: Sequence[Mapping[str, Any]]) -> str:
+    head = "".join(f"<th>{name}</th>" for name in ("deviation (cm)", "", "arrival step", "prediction error", "seconds"))
+    body = "\n".join(
+        f'<tr class="{"success" if row["success"] else "failure"}"><td>{escape(str(row["goal"]))}</td>'
+        f"<td>{_number(row['deviation_cm'], 1)}</td><td>{_verdict(row['success'])}</td>"
+        f"<td>{escape(str(row['arrival_step']))}</td><td>{_number(row['error'], 2)}</td><td>{_number(row['seconds'], 1)}</td></tr>"
+        for row in rows
+    )
+    return f'<h2>Every goal</h2>\n<div class="wide"><table>\n<tr><th>goal</th>{head}</tr>\n{body}\n</table></div>'
+
+
+def _verdict(success: bool) -> str:
+    return '<span class="good">✓ success</span>' if success else '<span class="bad">✗ failure</span>'
+
+
+def _relative(file: Path, folder: Path) -> str:
+    return quote(Path(os.path.relpath(file, folder)).as_posix())
+
+
+def _number(value: float | None, decimals: int) -> str:
+    """The number with so many decimals; a dash where there is none (JSON has no NaN)."""
+    return "–" if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _interval(bounds: Sequence[float]) -> str:
+    low, high = bounds
+    return f"{100 * low:.0f}–{100 * high:.0f} %"
+
+
+def _deviation(deviation_cm: Mapping[str, float | None]) -> str:
+    return ", ".join(f"{name} {_number(deviation_cm.get(name), 1)} cm" for name in ("mean", "median", "max"))

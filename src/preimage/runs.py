@@ -1,0 +1,145 @@
+"""A run folder: everything a trained model is, on disk.
+
+    config.json          sizes, sensors, training configuration, seed, data, commit, versions
+    model.safetensors    weights and intention table
+    resume.pt            weights, optimiser and update number, to continue a training
+    log.jsonl            one line an update
+    shown.npz            what is kept of the demonstrations: joints and last frames, for the baseline that replays one of them
+    README.md            the model card
+
+Files are written beside their place and then moved into it, so that a killed process or a full disk leaves the former file whole.
+"""
+
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from preimage.model import PDVMRNN, ModelConfig, Sensors
+from preimage.records import Demonstration, Shown
+
+Record = TypeVar("Record")
+
+BUNDLED = ("reach",)
+"""Names that stand for the models that come with the program."""
+
+
+def find_run(name: str | Path) -> Path:
+    """The folder of a run: a path, or the name of a bundled model.
+
+    Raises:
+        ValueError: there is neither.
+    """
+    path = Path(name)
+    if str(name) in BUNDLED and not path.exists():
+        path = Path(str(resources.files("preimage"))) / "bundled" / str(name)
+    if not (path / "config.json").is_file():
+        raise ValueError(
+            f"{name} is no run folder: it has no config.json; give a folder that `preimage train` wrote, or {', '.join(BUNDLED)}"
+        )
+    return path
+
+
+def replace_file(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` write a file beside `path`, then move it into place; on failure nothing is left and `path` is as before."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
+    os.close(handle)
+    beside = Path(name)
+    try:
+        write(beside)
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def write_config(folder: Path, model: PDVMRNN, about: Mapping[str, Any]) -> None:
+    """Write config.json: what builds the network again, and what is to be known about the run."""
+    num_sequences = len(model.intention_table.intentions())
+    config = {"model": asdict(model.config), "sensors": asdict(model.sensors), "num_sequences": num_sequences, **about}
+    replace_file(folder / "config.json", lambda path: path.write_text(json.dumps(config, indent=2) + "\n"))
+
+
+def write_weights(folder: Path, model: PDVMRNN, dtype: torch.dtype = torch.float32) -> None:
+    """Write model.safetensors: weights and intention table, in `dtype` (half precision halves the file)."""
+    tensors = {name: value.to(dtype).contiguous() for name, value in model.state_dict().items()}
+    replace_file(folder / "model.safetensors", lambda path: save_file(tensors, path))
+
+
+def write_shown(folder: Path, demonstrations: Sequence[Demonstration]) -> None:
+    """Write shown.npz: joints, lengths, rates and last frames of the demonstrations."""
+    arrays = {
+        "last_frames": np.stack([demonstration.frames[-1] for demonstration in demonstrations]),
+        "joints": np.concatenate([demonstration.joints for demonstration in demonstrations]).astype(np.float32),
+        "lengths": np.array([len(demonstration) for demonstration in demonstrations]),
+        "rates_hz": np.array([demonstration.rate_hz for demonstration in demonstrations]),
+    }
+
+    def write(path: Path) -> None:
+        with path.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    replace_file(folder / "shown.npz", write)
+
+
+def read_shown(folder: Path) -> list[Shown]:
+    """What the run keeps of its demonstrations.
+
+    Raises:
+        ValueError: it is missing or broken.
+    """
+    path = folder / "shown.npz"
+    try:
+        with np.load(path) as arrays:
+            ways = np.split(arrays["joints"].astype(np.float64), np.cumsum(arrays["lengths"])[:-1])
+            parts = zip(arrays["last_frames"], ways, arrays["rates_hz"].tolist(), strict=True)
+            return [Shown(*part) for part in parts]
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} cannot be read ({error}): restore it or train again") from error
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """The config.json of a run.
+
+    Raises:
+        ValueError: it is missing or no JSON.
+    """
+    path = find_run(folder) / "config.json"
+    try:
+        return json.loads(path.read_text())
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not JSON ({error}): train again or restore the file") from error
+
+
+def load_model(name: str | Path) -> PDVMRNN:
+    """The trained model of a run folder or a bundled name, in float32, ready to plan.
+
+    Raises:
+        ValueError: there is no such run, or its files are broken or do not fit together.
+    """
+    folder = find_run(name)
+    config = read_config(folder)
+    try:
+        model = PDVMRNN(tuples(ModelConfig, config["model"]), tuples(Sensors, config["sensors"]), config["num_sequences"])
+        tensors = load_file(folder / "model.safetensors")
+        model.load_state_dict({name: value.float() for name, value in tensors.items()})
+    except FileNotFoundError as error:
+        raise ValueError(f"{folder} has no model.safetensors yet: the training stopped before its first checkpoint") from error
+    except (KeyError, TypeError, SafetensorError, RuntimeError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise ValueError(f"{folder} cannot be loaded ({reason}): its files are broken or from another version; train again") from error
+    return model.requires_grad_(False).eval()
+
+
+def tuples(record: type[Record], fields: Mapping[str, Any]) -> Record:
+    """Build a dataclass from JSON, where its tuples have become lists."""
+    return record(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})

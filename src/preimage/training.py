@@ -1,0 +1,318 @@
+"""Training: back-propagation through time on the weights and the intention table together (section II-B).
+
+Every update draws a few demonstrations, generates each from its own intention in closed loop, and lowers the prediction error of both
+modalities by Adam. What an update draws depends on the seed and its number alone, so that a training that was stopped and resumed gives
+the same weights, bit for bit on a CPU, as one that never stopped.
+"""
+
+import contextlib
+import json
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from preimage.coding import to_pixels
+from preimage.model import PDVMRNN, IntentionState, ModelConfig
+from preimage.prediction_error import SequenceError, sequence_error
+from preimage.records import Demonstration
+from preimage.runs import replace_file, write_config, write_shown, write_weights
+from preimage.sequences import Sequences, pad, sensors_of
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How the network learns."""
+
+    updates: int = 1500
+    """Number of updates of weights and intentions."""
+    batch_size: int = 10
+    """Demonstrations an update."""
+    learning_rate: float = 2e-3
+    """Adam's rate for the weights at its highest; it warms up, then falls along a cosine."""
+    intention_learning_rate: float = 2e-2
+    """Adam's rate for the intentions, on the same course."""
+    warmup_updates: int = 20
+    """Updates over which the rates rise."""
+    final_share: float = 0.05
+    """Share of the rates that is left at the end."""
+    gradient_norm: float = 1.0
+    """Largest norm of the weights' gradient; longer ones are shortened to it."""
+    open_loop_share: float = 0.0
+    """Share of the sensed percept in the network's input: 0 closed loop, 1 open loop."""
+    rest_steps: int = 30
+    """Steps of rest after a demonstration's end that count: the arm learns to stay at the goal."""
+    precision: Literal["bfloat16", "float32"] = "bfloat16"
+    """Precision of the layers' arithmetic; weights, states and errors stay float32."""
+    checkpoint_every: int = 100
+    """Updates between two checkpoints."""
+    seed: int = 0
+    """Draws the first weights, the batches and the noise."""
+
+
+class NonFinite(RuntimeError):
+    """The training met a number that is not finite; the text says where, and what would do."""
+
+
+@dataclass
+class Learner:
+    """What changes while training: network, optimiser and the number of updates done."""
+
+    model: PDVMRNN
+    optimiser: torch.optim.Optimizer
+    update: int = 0
+
+    def state(self) -> dict[str, Any]:
+        return {"update": self.update, "model": self.model.state_dict(), "optimiser": self.optimiser.state_dict()}
+
+    def load(self, state: dict[str, Any]) -> None:
+        self.model.load_state_dict(state["model"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.update = state["update"]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a watcher of the training is told after each update."""
+
+    update: int
+    updates: int
+    visual: float
+    """Squared error of a frame, summed over pixels, mean of the batch."""
+    proprioceptive: float
+    """KL of the joint codes, summed over joints, mean of the batch (nats)."""
+    seconds: float = field(compare=False)
+    """Wall time of the update."""
+
+
+def train(
+    demonstrations: Sequence[Demonstration],
+    model_config: ModelConfig | None = None,
+    *,
+    config: TrainConfig | None = None,
+    folder: Path | str | None = None,
+    resume: bool = False,
+    about: dict[str, Any] | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> PDVMRNN:
+    """Learn weights and intentions that regenerate the demonstrations.
+
+    Args:
+        demonstrations: the sequences to learn; frames of one size, the same joints.
+        folder: run folder for checkpoints and log; without one nothing is written.
+        resume: go on from the folder's last checkpoint.
+        about: more to write into the run's config.json.
+        progress: called after every update.
+
+    Returns:
+        the trained network, its weights frozen.
+
+    Raises:
+        ValueError: the demonstrations do not fit together, the folder holds a run already or none to resume.
+        NonFinite: an error or a gradient is no longer finite.
+        KeyboardInterrupt: the training was interrupted; the last update is saved.
+    """
+    model_config, config = model_config or ModelConfig.small(), config or TrainConfig()
+    sequences = pad(demonstrations, rate_hz=model_config.rate_hz, rest_steps=config.rest_steps)
+    model = PDVMRNN(model_config, sensors_of(demonstrations), len(sequences), config.seed)
+    start_from(model, sequences)
+    learner = Learner(model, optimiser_of(model, config))
+    run = open_run(Path(folder), learner, config, about or {}, resume) if folder is not None else None
+    if run and not resume:
+        write_shown(run, demonstrations)
+    with saved_on_interrupt() as interrupted:
+        while learner.update < config.updates and not interrupted():
+            told = one_update(learner, sequences, config, run)
+            if progress:
+                progress(told)
+            if run and (learner.update % config.checkpoint_every == 0 or learner.update == config.updates or interrupted()):
+                save(run, learner)
+    if interrupted():
+        raise KeyboardInterrupt
+    return model.requires_grad_(False).eval()
+
+
+def start_from(model: PDVMRNN, sequences: Sequences) -> None:
+    """Start the outputs at the mean percept of the demonstrations, and remember their mean first percept as home."""
+    pixels, codes = to_pixels(sequences.frames), model.coding.encode(sequences.joints)
+    model.start_from_means(pixels.mean((0, 1)), codes.mean((0, 1)))
+    model.home_pixels.copy_(pixels[:, 0].mean(0))
+    model.home_joints.copy_(sequences.joints[:, 0].mean(0))
+    model.longest.fill_(sequences.frames.shape[1])
+    spread_intentions(model, codes.flatten(1))
+
+
+@torch.no_grad()
+def spread_intentions(model: PDVMRNN, features: Float[Tensor, "N F"], components: int = 16, deviation: float = 0.5) -> None:
+    """Start the intentions where alike sequences are neighbours: at their principal components, thrown onto the layers at random.
+
+    The paper starts them at random. From there, learning first has to find out what an intention could be good for; from here it takes
+    about half the updates (docs/log.md).
+    """
+    centred = features - features.mean(0)
+    directions, sizes, _ = torch.linalg.svd(centred, full_matrices=False)
+    components = min(components, len(features))
+    weights = (sizes / sizes[0].clamp(min=1e-9)).clamp(min=0.15)[:components]  # small components count, or no two would differ
+    scores = len(features) ** 0.5 * directions[:, :components] * weights
+    generator = torch.Generator().manual_seed(components)
+    for values in model.intention_table.parameters():
+        throw = torch.randn(components, values[0].numel(), generator=generator) * deviation / components**0.5
+        values.copy_((scores @ throw).view_as(values))
+
+
+def optimiser_of(model: PDVMRNN, config: TrainConfig) -> torch.optim.Optimizer:
+    """Adam on weights and intentions, each at its own rate."""
+    weights = [value for name, value in model.named_parameters() if not name.startswith("intention_table.")]
+    intentions = list(model.intention_table.parameters())
+    groups = [
+        {"params": weights, "peak": config.learning_rate},
+        {"params": intentions, "peak": config.intention_learning_rate},
+    ]
+    return torch.optim.Adam(groups, betas=(0.9, 0.99))
+
+
+def share_of_rate(update: int, config: TrainConfig) -> float:
+    """The share of the highest rate at an update: a linear rise, then half a cosine down to `final_share`."""
+    rise = min(1.0, (update + 1) / config.warmup_updates)
+    fall = 0.5 * (1 + math.cos(math.pi * update / config.updates))
+    return rise * (config.final_share + (1 - config.final_share) * fall)
+
+
+def batch_of(update: int, num_sequences: int, config: TrainConfig) -> Tensor:
+    """The rows of an update: every sequence once an epoch, in an order drawn from the seed and the epoch."""
+    size = min(config.batch_size, num_sequences)
+    rows = []
+    for position in range(update * size, (update + 1) * size):
+        epoch, place = divmod(position, num_sequences)
+        rows.append(shuffled(num_sequences, config.seed, epoch)[place])
+    return torch.stack(rows)
+
+
+def shuffled(count: int, seed: int, epoch: int) -> Tensor:
+    return torch.randperm(count, generator=torch.Generator().manual_seed(seed * 1_000_003 + epoch))
+
+
+def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run: Path | None) -> Progress:
+    """One step of Adam on one batch."""
+    began = time.perf_counter()
+    model, optimiser = learner.model, learner.optimiser
+    rows = batch_of(learner.update, len(sequences), config)
+    intention = model.intention_table.intentions()[rows]
+    error = error_of(model, with_noise(intention, learner.update, config.seed, model.config), sequences, rows, config)
+    charge = model.config.intention_cost * intention.flatten().square().sum(1)
+    for group in optimiser.param_groups:
+        group["lr"] = group["peak"] * share_of_rate(learner.update, config)
+    optimiser.zero_grad()
+    (error.total + charge).mean().backward()
+    norm = nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], config.gradient_norm)
+    refuse_non_finite(learner, error, norm, run)
+    optimiser.step()
+    learner.update += 1
+    visual, proprioceptive = error.visual.mean().item(), error.proprioceptive.mean().item()
+    told = Progress(learner.update, config.updates, visual, proprioceptive, time.perf_counter() - began)
+    if run:
+        with (run / "log.jsonl").open("a") as log:
+            log.write(json.dumps(asdict(told)) + "\n")
+    return told
+
+
+def with_noise(intention: IntentionState, update: int, seed: int, config: ModelConfig) -> IntentionState:
+    """The intention with Gaussian noise of the config's standard deviation, drawn from seed and update."""
+    if not config.intention_noise:
+        return intention
+    generator = torch.Generator().manual_seed(seed * 1_000_003 + update)
+    return intention.map(lambda values: values + config.intention_noise * torch.randn(values.shape, generator=generator))
+
+
+def error_of(model: PDVMRNN, intention: IntentionState, sequences: Sequences, rows: Tensor, config: TrainConfig) -> SequenceError:
+    """Generate the rows of the table from their intentions and compare."""
+    pixels, codes = to_pixels(sequences.frames[rows]), model.coding.encode(sequences.joints[rows])
+    with torch.autocast(pixels.device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
+        generated = model.generate_open_loop(intention, (pixels, codes), share=config.open_loop_share)
+    return sequence_error(generated, pixels, codes, sequences.mask[rows])
+
+
+def refuse_non_finite(learner: Learner, error: SequenceError, norm: Tensor, run: Path | None) -> None:
+    """Raises NonFinite, naming the first tensor that is not finite, before it can reach the weights."""
+    suspects = {"the visual error": error.visual, "the proprioceptive error": error.proprioceptive}
+    if all(bool(value.isfinite().all()) for value in (*suspects.values(), norm)):
+        return
+    gradients = {f"the gradient of {name}": p.grad for name, p in learner.model.named_parameters() if p.grad is not None}
+    name = next(name for name, value in (suspects | gradients).items() if not bool(value.isfinite().all()))
+    text = f"{name} is not finite at update {learner.update + 1}: a lower learning rate or precision float32 would do"
+    if run:
+        replace_file(
+            run / "non_finite.json",
+            lambda path: path.write_text(json.dumps({"update": learner.update + 1, "tensor": name})),
+        )
+    raise NonFinite(text)
+
+
+@contextlib.contextmanager
+def saved_on_interrupt() -> Iterator[Callable[[], bool]]:
+    """Turn Ctrl-C and SIGTERM into a request to stop after the running update; a second Ctrl-C stops at once."""
+    requested: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+
+    def request(number: int, _frame: object) -> None:
+        if requested:
+            raise KeyboardInterrupt
+        requested.append(number)
+
+    before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(requested)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def open_run(folder: Path, learner: Learner, config: TrainConfig, about: dict[str, Any], resume: bool) -> Path:
+    """The folder to write into: a new one, or the one to resume, with the learner brought to its last checkpoint."""
+    checkpoint = folder / "resume.pt"
+    if resume:
+        resume_from(checkpoint, learner)
+        keep_lines(folder / "log.jsonl", learner.update)
+        return folder
+    if folder.exists() and any(folder.iterdir()):
+        raise ValueError(f"{folder} is not empty: give a new folder, or --resume to go on with the run in it")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_config(folder, learner.model, {"train": asdict(config)} | about)
+    return folder
+
+
+def resume_from(checkpoint: Path, learner: Learner) -> None:
+    """Bring the learner to a checkpoint.
+
+    Raises:
+        ValueError: there is none, it is broken, or it belongs to another network.
+    """
+    if not checkpoint.is_file():
+        raise ValueError(f"{checkpoint.parent} has no checkpoint to resume (resume.pt): train without --resume")
+    try:
+        learner.load(torch.load(checkpoint, weights_only=True))
+    except Exception as error:  # torch raises a dozen types for a damaged file
+        reason = str(error).strip().splitlines()[0]
+        raise ValueError(f"{checkpoint} does not fit this training or is broken ({reason}): give the same data and sizes") from error
+
+
+def keep_lines(log: Path, count: int) -> None:
+    """Forget the log lines of updates that were not saved."""
+    lines = log.read_text().splitlines(keepends=True)[:count] if log.exists() else []
+    replace_file(log, lambda path: path.write_text("".join(lines)))
+
+
+def save(run: Path, learner: Learner) -> None:
+    """Write a checkpoint; a full disk raises OSError and leaves the former one whole."""
+    replace_file(run / "resume.pt", lambda path: torch.save(learner.state(), path))
+    write_weights(run, learner.model)
