@@ -3,6 +3,7 @@
 import doctest
 import json
 from fractions import Fraction
+from html.parser import HTMLParser
 from pathlib import Path
 
 import av
@@ -99,6 +100,8 @@ def test_gif_keeps_the_grey_levels_of_the_frames(tmp_path):
         gif.seek(4)
         shown = np.asarray(gif.convert("RGB"))
     np.testing.assert_allclose([panel_pixel(shown, 0, 2), panel_pixel(shown, 1, 2)], [200, 40], atol=2)
+    panels = shown[32:-36].astype(int)
+    assert np.abs(panels[:, 16:272] - panels[:, 16:272, :1]).max() <= 2, "grey frames took on a tint"
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
@@ -234,6 +237,23 @@ def test_page_names_films_relative_to_itself_and_nothing_on_a_network(tmp_path):
     assert '<img src="media/4.gif"' in text
     assert "http" not in text
     assert str(tmp_path) not in text
+
+
+def test_page_closes_every_element_it_opens(tmp_path):
+    class Balance(HTMLParser):
+        open_elements: tuple[str, ...] = ()
+
+        def handle_starttag(self, tag, attrs):
+            if tag not in ("meta", "img", "br"):
+                self.open_elements += (tag,)
+
+        def handle_endtag(self, tag):
+            assert self.open_elements[-1] == tag
+            self.open_elements = self.open_elements[:-1]
+
+    balance = Balance()
+    balance.feed(page(make_results(), make_cases(tmp_path), tmp_path / "index.html", title="Reach").read_text())
+    assert balance.open_elements == ()
 
 
 def test_page_shows_a_dash_for_what_is_not_known(tmp_path):

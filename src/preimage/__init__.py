@@ -1,1 +1,53 @@
-"""preimage: imagine the way to a goal before moving (P-DVMRNN, Choi, Matsumoto, Jung and Tani 2018)."""
+"""preimage: imagine the way to a goal before moving (P-DVMRNN, Choi, Matsumoto, Jung and Tani 2018).
+
+The names below are in the order of use: an arm and its task, demonstrations of it, a network that learns them, a plan to a goal, its
+execution, and a film of both.
+"""
+
+from preimage.dataset import load, save
+from preimage.evaluation import evaluate, result_of, wilson_interval
+from preimage.execution import execute
+from preimage.model import PDVMRNN, IntentionState, ModelConfig, Sensors
+from preimage.planning import PlanConfig, imagine_library, plan, recognise, regress_intention
+from preimage.plans import load_plan, save_plan
+from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
+from preimage.report import figure, film
+from preimage.robot import TASKS, Arm, Reach, record
+from preimage.runs import load_model
+from preimage.training import TrainConfig, train
+
+__all__ = [
+    "PDVMRNN",
+    "TASKS",
+    "Arm",
+    "Demonstration",
+    "IntentionState",
+    "ModelConfig",
+    "Percept",
+    "Plan",
+    "PlanConfig",
+    "Reach",
+    "Scene",
+    "Sensors",
+    "Shown",
+    "Stopped",
+    "TrainConfig",
+    "Trial",
+    "evaluate",
+    "execute",
+    "figure",
+    "film",
+    "imagine_library",
+    "load",
+    "load_model",
+    "load_plan",
+    "plan",
+    "recognise",
+    "record",
+    "regress_intention",
+    "result_of",
+    "save",
+    "save_plan",
+    "train",
+    "wilson_interval",
+]

@@ -11,10 +11,8 @@ Files are written beside their place and then moved into it, so that a killed pr
 """
 
 import json
-import os
-import tempfile
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
@@ -27,6 +25,7 @@ from safetensors.torch import load_file, save_file
 
 from preimage.model import PDVMRNN, ModelConfig, Sensors
 from preimage.records import Demonstration, Shown
+from preimage.whole_file import whole_file
 
 Record = TypeVar("Record")
 
@@ -50,29 +49,19 @@ def find_run(name: str | Path) -> Path:
     return path
 
 
-def replace_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` write a file beside `path`, then move it into place; on failure nothing is left and `path` is as before."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
-    os.close(handle)
-    beside = Path(name)
-    try:
-        write(beside)
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
-
-
 def write_config(folder: Path, model: PDVMRNN, about: Mapping[str, Any]) -> None:
     """Write config.json: what builds the network again, and what is to be known about the run."""
     num_sequences = len(model.intention_table.intentions())
     config = {"model": asdict(model.config), "sensors": asdict(model.sensors), "num_sequences": num_sequences, **about}
-    replace_file(folder / "config.json", lambda path: path.write_text(json.dumps(config, indent=2) + "\n"))
+    with whole_file(folder / "config.json") as path:
+        path.write_text(json.dumps(config, indent=2) + "\n")
 
 
 def write_weights(folder: Path, model: PDVMRNN, dtype: torch.dtype = torch.float32) -> None:
     """Write model.safetensors: weights and intention table, in `dtype` (half precision halves the file)."""
     tensors = {name: value.to(dtype).contiguous() for name, value in model.state_dict().items()}
-    replace_file(folder / "model.safetensors", lambda path: save_file(tensors, path))
+    with whole_file(folder / "model.safetensors") as path:
+        save_file(tensors, path)
 
 
 def write_shown(folder: Path, demonstrations: Sequence[Demonstration]) -> None:
@@ -84,11 +73,8 @@ def write_shown(folder: Path, demonstrations: Sequence[Demonstration]) -> None:
         "rates_hz": np.array([demonstration.rate_hz for demonstration in demonstrations]),
     }
 
-    def write(path: Path) -> None:
-        with path.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-
-    replace_file(folder / "shown.npz", write)
+    with whole_file(folder / "shown.npz") as path, path.open("wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def read_shown(folder: Path) -> list[Shown]:
@@ -143,3 +129,34 @@ def load_model(name: str | Path) -> PDVMRNN:
 def tuples(record: type[Record], fields: Mapping[str, Any]) -> Record:
     """Build a dataclass from JSON, where its tuples have become lists."""
     return record(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
+
+
+def write_card(folder: Path) -> None:
+    """Write README.md, the model card: what the model is, what it learned from, how it was made, what it is not for."""
+    config = read_config(folder)
+    train, provenance = config["train"], config.get("provenance", {})
+    lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    last = lines[-1]
+    minutes = sum(line["seconds"] for line in lines) / 60
+    card = f"""---
+library_name: preimage
+tags: [robotics, predictive-coding]
+---
+# {folder.name}
+
+A P-DVMRNN (Choi, Matsumoto, Jung, Tani 2018) of size `{config.get("size")}`, trained on {config.get("num_demonstrations")} demonstrations
+of task `{config.get("task")}` (data `{config.get("data", {}).get("fingerprint")}`).
+
+| | |
+|---|---|
+| made by | `{provenance.get("command")}` |
+| updates | {last["update"]} of {train["updates"]}, {minutes:.0f} minutes on {provenance.get("machine")} |
+| error at the end | vision {last["visual"]:.2f}, joints {last["proprioceptive"]:.4f} |
+| commit, day | {provenance.get("commit")}, {provenance.get("date")} |
+| versions | {", ".join(f"{name} {number}" for name, number in provenance.get("versions", {}).items())} |
+
+`config.json` holds all settings and seeds, `log.jsonl` the errors update by update. Plan with it by
+`preimage plan RUN --goal IMAGE --out PLAN`. It knows one arm, one camera and one kind of task: those it was shown.
+"""
+    with whole_file(folder / "README.md") as path:
+        path.write_text(card)

@@ -24,8 +24,9 @@ from preimage.coding import to_pixels
 from preimage.model import PDVMRNN, IntentionState, ModelConfig
 from preimage.prediction_error import SequenceError, sequence_error
 from preimage.records import Demonstration
-from preimage.runs import replace_file, write_config, write_shown, write_weights
+from preimage.runs import write_config, write_shown, write_weights
 from preimage.sequences import Sequences, pad, sensors_of
+from preimage.whole_file import whole_file
 
 
 @dataclass(frozen=True)
@@ -249,10 +250,8 @@ def refuse_non_finite(learner: Learner, error: SequenceError, norm: Tensor, run:
     name = next(name for name, value in (suspects | gradients).items() if not bool(value.isfinite().all()))
     text = f"{name} is not finite at update {learner.update + 1}: a lower learning rate or precision float32 would do"
     if run:
-        replace_file(
-            run / "non_finite.json",
-            lambda path: path.write_text(json.dumps({"update": learner.update + 1, "tensor": name})),
-        )
+        with whole_file(run / "non_finite.json") as path:
+            path.write_text(json.dumps({"update": learner.update + 1, "tensor": name}))
     raise NonFinite(text)
 
 
@@ -309,10 +308,12 @@ def resume_from(checkpoint: Path, learner: Learner) -> None:
 def keep_lines(log: Path, count: int) -> None:
     """Forget the log lines of updates that were not saved."""
     lines = log.read_text().splitlines(keepends=True)[:count] if log.exists() else []
-    replace_file(log, lambda path: path.write_text("".join(lines)))
+    with whole_file(log) as path:
+        path.write_text("".join(lines))
 
 
 def save(run: Path, learner: Learner) -> None:
     """Write a checkpoint; a full disk raises OSError and leaves the former one whole."""
-    replace_file(run / "resume.pt", lambda path: torch.save(learner.state(), path))
+    with whole_file(run / "resume.pt") as path:
+        torch.save(learner.state(), path)
     write_weights(run, learner.model)

@@ -15,10 +15,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from preimage.records import Plan, Trial
 from preimage.report.films import as_rgb
-from preimage.report.whole_file import whole_file
+from preimage.whole_file import whole_file
 
 NUM_COLUMNS = 8
 """Frames shown of a sequence, evenly spaced up to arrival."""
@@ -36,7 +37,7 @@ def figure(plan: Plan, trial: Trial | None, path: str | os.PathLike[str]) -> Pat
     row_inches = WIDTH_INCHES * 0.86 / NUM_COLUMNS * height / width + 0.24
     strips = _strips(plan.joint_names)
     strip_inches = [3.0 if unit == "deg" else 1.0 for unit in strips]
-    head_inches, gap_inches, foot_inches = 0.75, 0.35, 0.5
+    head_inches, gap_inches, foot_inches = 0.55, 0.35, 0.5
     frames_inches, curves_inches = num_rows * row_inches, sum(strip_inches)
     total = head_inches + frames_inches + gap_inches + curves_inches + foot_inches
 
@@ -74,6 +75,9 @@ def learning_curve(log_jsonl_path: str | os.PathLike[str], path: str | os.PathLi
         axes = drawing.add_subplot(1, 2, column + 1)
         axes.plot(updates, values, color=colour, linewidth=1.4, marker="." if len(updates) < 40 else None)
         axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
         axes.set_title(f"{name} ({values[-1]:.3g} at update {updates[-1]})", fontsize=11, loc="left", color=INK)
         axes.set_xlabel("updates", fontsize=10)
         axes.grid(which="major", color="#d5dae0", linewidth=0.8)
@@ -177,13 +181,13 @@ def _draw_joint(axes: Axes, joint: int, unit: str, colour: object, plan: Plan, t
 
 def _draw_legend(axes: Axes, colours: tuple[object, ...], plan: Plan, trial: Trial | None) -> None:
     names = plan.joint_names
-    handles = [Line2D([], [], color=colours[i % len(colours)], linewidth=2.6, label=name) for i, name in enumerate(names)]  # pyright: ignore[reportArgumentType]
-    handles.append(Line2D([], [], color=MUTED, linewidth=2.6, alpha=0.55, label="planned"))
+    handles = [Line2D([], [], color=MUTED, linewidth=2.6, alpha=0.55, label="planned")]
     if trial is not None:
         handles.append(Line2D([], [], color=MUTED, linewidth=1.3, linestyle=(0, (4, 2)), label="executed"))
     handles.append(Line2D([], [], color=ARRIVAL, linewidth=1.2, linestyle=":", label="arrival"))
-    size = 9 if len(names) <= 10 else 6
-    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.02), fontsize=size, frameon=False)
+    handles += [Line2D([], [], color=colours[i % len(colours)], linewidth=2.6, label=name) for i, name in enumerate(names)]  # pyright: ignore[reportArgumentType]
+    size, spacing = (9, 0.5) if len(names) <= 10 else (6, 0.2)
+    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.02), fontsize=size, labelspacing=spacing, frameon=False)
 
 
 def _in_unit(joints: Shaped[np.ndarray, " T"], unit: str) -> Shaped[np.ndarray, " T"]:

@@ -4,7 +4,7 @@ The panels run on one clock. The imagined film ends at the arrival step, the exe
 holds its last frame, and when both have ended the picture stays for one more second.
 """
 
-import math
+import itertools
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from jaxtyping import Shaped, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from preimage.records import Plan, Trial
-from preimage.report.whole_file import whole_file
+from preimage.whole_file import whole_file
 
 PANEL_PIXELS = 256
 """Frames are enlarged by the largest whole factor that keeps their longer side within this; larger frames stay as they are."""
@@ -89,7 +89,7 @@ def film(plan: Plan, trial: Trial | None, path: str | os.PathLike[str]) -> Path:
     if write is None:
         raise ValueError(f"path ends in {path.suffix or 'no suffix'!r}, a film can be written as .mp4 or .gif: {path}")
     with whole_file(path) as unfinished:
-        write(unfinished, list(_pictures(plan, trial)), plan.rate_hz)
+        write(unfinished, _pictures(plan, trial), plan.rate_hz)
     return path
 
 
@@ -159,34 +159,48 @@ def _font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(f"{matplotlib.get_data_path()}/fonts/ttf/{name}", size)
 
 
-def _write_mp4(path: Path, pictures: list[Image.Image], rate_hz: float) -> None:
-    held = [pictures[-1]] * max(1, math.floor(HOLD_S * rate_hz + 0.5))
+def _write_mp4(path: Path, pictures: Iterator[Image.Image], rate_hz: float) -> None:
+    last = next(pictures)
     with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
         stream = container.add_stream("libx264", rate=Fraction(rate_hz).limit_denominator(1000))
-        stream.width, stream.height = pictures[0].size
+        stream.width, stream.height = last.size
         stream.pix_fmt = "yuv420p"
         stream.options = {"crf": "16"}
         stream.thread_count = 1  # more threads would give other bits on other machines, and save milliseconds
-        for picture in pictures + held:
+        for picture in itertools.chain([last], pictures):
             container.mux(stream.encode(av.VideoFrame.from_image(picture)))
+            last = picture
+        for _ in range(max(1, round(HOLD_S * rate_hz))):
+            container.mux(stream.encode(av.VideoFrame.from_image(last)))
         container.mux(stream.encode(None))
 
 
-def _write_gif(path: Path, pictures: list[Image.Image], rate_hz: float) -> None:
-    palette = _shared_palette(pictures)
-    indexed = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+def _write_gif(path: Path, pictures: Iterator[Image.Image], rate_hz: float) -> None:
+    drawn = list(pictures)
+    palette = _shared_palette(drawn)
+    first, *rest = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in drawn)
     step_ms = max(20, round(100 / rate_hz) * 10)  # a GIF counts in hundredths; browsers slow down below two of them
-    durations = [step_ms] * (len(indexed) - 1) + [step_ms + round(HOLD_S * 1000)]
-    indexed[0].save(path, "GIF", save_all=True, append_images=indexed[1:], duration=durations, loop=0)
+    durations = [step_ms] * len(rest) + [step_ms + round(HOLD_S * 1000)]
+    first.save(path, "GIF", save_all=True, append_images=rest, duration=durations, loop=0)
 
 
 def _shared_palette(pictures: list[Image.Image]) -> Image.Image:
-    """256 colours for the whole film. Every colour counts once, however rare, or the captions would lose theirs to the greys."""
+    """256 colours for the whole film: most for the frames, some for the captions, so that neither takes on the other's tint."""
     chosen = np.unique(np.linspace(0, len(pictures) - 1, 8).round().astype(int))
-    pixels = np.concatenate([np.asarray(pictures[i], np.uint32).reshape(-1, 3) for i in chosen])
-    packed = np.unique(pixels @ np.array([1 << 16, 1 << 8, 1], np.uint32))
+    sample = np.stack([np.asarray(pictures[i]) for i in chosen])
+    captions = np.concatenate([sample[:, :CAPTION], sample[:, -CLOCK:]], 1)
+    frames = sample[:, CAPTION:-CLOCK]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(_colours(frames, 200) + _colours(captions, 56))
+    return palette
+
+
+def _colours(pixels: UInt8[np.ndarray, "N H W 3"], num_colours: int) -> list[int]:
+    """So many colours that stand for all in the pixels; each counts once, however rare, or the greys would take every place."""
+    packed = np.unique(pixels.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))
     colours = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], -1).astype(np.uint8)
-    return Image.fromarray(colours[None]).quantize(256, Image.Quantize.MEDIANCUT)
+    reduced = Image.fromarray(colours[None]).quantize(num_colours, Image.Quantize.MEDIANCUT)
+    return (reduced.getpalette() or [])[: 3 * num_colours]
 
 
-_WRITERS: dict[str, Callable[[Path, list[Image.Image], float], None]] = {".mp4": _write_mp4, ".gif": _write_gif}
+_WRITERS: dict[str, Callable[[Path, Iterator[Image.Image], float], None]] = {".mp4": _write_mp4, ".gif": _write_gif}

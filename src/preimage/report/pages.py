@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from preimage.report.whole_file import whole_file
+from preimage.whole_file import whole_file
 
 SUCCESS_MEANS = "the robot ends within the tolerance of its task; for reaching, the hand within 4 cm of the goal position"
 
 _REQUIRED = ("task", "goals", "success", "interval", "deviation_cm", "rows", "baselines")
-_BASELINES = {
+_BASELINES: dict[str, str] = {
     "nearest_demonstration": "nearest demonstration: replay the one whose last frame is most like the goal",
     "do_nothing": "do nothing: the arm stays where it starts",
 }
@@ -109,16 +109,17 @@ def _explanation(success_means: str) -> str:
     return (
         "<p>The robot was shown a number of demonstrations and learned from them what its camera sees and how its joints move "
         "along the way. Then it got goals it had never seen. A <b>goal</b> is a single picture of how the scene should look at the "
-        "end. From the picture it was given at the start and this one, the model <b>imagined</b> a whole way there: a short film and "
+        "end. From the start and this picture the model <b>imagined</b> a whole way there: a short film and "
         "the joint angles that belong to it. The robot then <b>executed</b> those joint angles, while the camera recorded what really "
-        f"happened. The deviation is what was left between hand and goal. A goal counts as reached when {escape(success_means)}.</p>"
+        "happened. The deviation is the distance that was left to the goal at the end. "
+        f"A goal counts as reached when {escape(success_means)}.</p>"
     )
 
 
 def _comparison(results: Mapping[str, Any]) -> str:
     ours = _comparison_row("imagined plans", results, results["goals"], "ours")
     rest = [
-        _comparison_row(_BASELINES.get(name, name.replace("_", " ")), baseline, results["goals"], "other")
+        _comparison_row(_BASELINES.get(name) or name.replace("_", " "), baseline, results["goals"], "other")
         for name, baseline in results["baselines"].items()
     ]
     return (

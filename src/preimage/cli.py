@@ -1,0 +1,268 @@
+"""The verbs of the command line. Exit codes: 0 done, 1 the work failed or was interrupted, 2 the words are off."""
+
+import json
+import platform
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from tyro.conf import Positional
+
+from preimage import demo as demonstration_of_it_all
+from preimage.dataset import fingerprint, load, save
+from preimage.evaluation import Evaluated, evaluate, result_of
+from preimage.execution import execute
+from preimage.model import ModelConfig
+from preimage.planning import PlanConfig, plan
+from preimage.plans import load_plan, save_plan
+from preimage.records import Percept
+from preimage.report import figure, film, learning_curve
+from preimage.robot import TASKS, Arm, record
+from preimage.runs import find_run, load_model, read_config, read_shown, tuples, write_card
+from preimage.sources import find_percept
+from preimage.training import NonFinite, TrainConfig, train
+from preimage.training import Progress as Told
+from preimage.whole_file import whole_file
+
+console = Console(stderr=True)
+SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.paper}
+
+
+def bar() -> Progress:
+    """A progress bar with the time left."""
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    return Progress(*columns, console=console)
+
+
+def demo(task: Literal["reach"] = "reach", goals: int = 5, seed: int = 7, out: Path = Path("demo")) -> None:
+    """Let the bundled model plan to goals it never saw, execute the plans, and show films and a report.
+
+    Args:
+        task: which of the bundled models.
+        goals: how many goals.
+        seed: draws the goals.
+        out: folder for films, figures and report.html.
+    """
+    with bar() as progress:
+        shown = progress.add_task("planning and executing", total=goals)
+        report = demonstration_of_it_all.run(task, goals=goals, seed=seed, out=out, progress=lambda: progress.advance(shown))
+    for line in report.lines:
+        print(line)
+    print(f"open {report.page}")
+
+
+def record_(task: Positional[str], count: int, out: Path, seed: int = 0) -> None:
+    """Record demonstrations of a task on the simulated arm, as a LeRobotDataset v3.0.
+
+    Args:
+        task: name of the task.
+        count: how many demonstrations.
+        out: folder to write, new or empty.
+        seed: draws the scenes and the tutor's hand.
+    """
+    known_task(task)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ValueError(f"{out} is there already: give a new folder")
+    with bar() as progress:
+        shown = progress.add_task("recording", total=count)
+        demonstrations = record(Arm(), TASKS[task], count=count, seed=seed, progress=lambda _done, _all: progress.advance(shown))
+    save(demonstrations, out, task=task)
+    steps = sum(map(len, demonstrations))
+    print(f"{count} demonstrations, {steps} steps at {TASKS[task].rate_hz:g} Hz, in {out}")
+
+
+def train_(
+    data: Positional[Path],
+    out: Path,
+    size: Literal["tiny", "small", "paper"] = "small",
+    resume: bool = False,
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008, frozen
+) -> None:
+    """Train a network on the demonstrations of a data set.
+
+    Args:
+        data: a LeRobotDataset v3.0.
+        out: run folder to write.
+        size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
+        resume: go on with the run in `out`, with the sizes and settings it was started with.
+        config: how the network learns.
+    """
+    demonstrations = load(data)
+    about = {
+        "size": size,
+        "num_demonstrations": len(demonstrations),
+        "data": {"name": data.name, "fingerprint": fingerprint(demonstrations)},
+    }
+    model_config = SIZES[size]()
+    if resume:
+        started = read_config(find_run(out))
+        if started.get("data", {}).get("fingerprint") != about["data"]["fingerprint"]:
+            raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
+        model_config, config = tuples(ModelConfig, started["model"]), tuples(TrainConfig, started["train"])
+    with bar() as progress:
+        shown = progress.add_task("training", total=config.updates)
+
+        def tell(told: Told) -> None:
+            errors = f"training  vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}"
+            progress.update(shown, completed=told.update, description=errors)
+
+        about |= {"task": task_of(demonstrations), "provenance": provenance()}
+        train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell)
+    learning_curve(out / "log.jsonl", out / "learning_curve.png")
+    write_card(out)
+    print(f"trained on {len(demonstrations)} demonstrations; the run is in {out}")
+
+
+def plan_(
+    run: Positional[str],
+    goal: str,
+    out: Path,
+    start: str | None = None,
+    goal_joints: tuple[float, ...] | None = None,
+    config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
+) -> None:
+    """Imagine a way to a goal.
+
+    Args:
+        run: a run folder, or the name of a bundled model: reach.
+        goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set.
+        out: folder to write: the plan, a film and a figure of it, and the joints as CSV.
+        start: where the start comes from, likewise; by default the mean start of the demonstrations.
+        goal_joints: joint angles of the goal (rad), for --config.goal joints or both.
+        config: how the plan is searched for.
+    """
+    model = load_model(run)
+    wanted = find_percept(goal, model.sensors, default_step=-1)
+    percept = wanted.percept if goal_joints is None else Percept(wanted.percept.frame, torch.tensor(goal_joints).double().numpy())
+    begin = find_percept(start, model.sensors, default_step=0).percept if start else None
+    found = plan(model, start=begin, goal=percept, config=config)
+    save_plan(found, out, scene=wanted.scene)
+    film(found, None, out / "imagined.mp4")
+    figure(found, None, out / "imagined.png")
+    seconds = found.arrival_step / found.rate_hz
+    print(f"arrives at step {found.arrival_step} ({seconds:.1f} s), error {found.error:.3f}, planned in {found.seconds:.1f} s, in {out}")
+    print(f"stopped: {found.stopped.value}")
+
+
+def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None) -> None:
+    """Let the simulated arm execute a plan, and judge where it ends.
+
+    Args:
+        folder: what `preimage plan` wrote.
+        film_: film to write, .mp4 or .gif, imagined beside executed.
+    """
+    found, scene = load_plan(folder)
+    if scene is None:
+        raise ValueError(f"the plan in {folder} is for a goal without a scene, which nothing can judge: plan with --goal DATA:EPISODE")
+    trial = execute(found, Arm(), scene)
+    if film_:
+        film(found, trial, film_)
+    for sentence in trial.limited:
+        print(sentence)
+    print(f"{'reached' if trial.success else 'missed'}: {100 * trial.deviation_m:.1f} cm from the goal")
+
+
+def evaluate_(
+    run: Positional[str],
+    out: Path,
+    task: str = "reach",
+    goals: int = 100,
+    seed: int = 1000,
+    config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
+) -> None:
+    """Count how often plans to goals that were never shown arrive, beside what luck would give.
+
+    Args:
+        run: a run folder, or the name of a bundled model: reach.
+        out: JSON file to write.
+        task: name of the task.
+        goals: how many goals.
+        seed: draws the goals; take another one than the demonstrations were recorded with.
+        config: how the plans are searched for.
+    """
+    known_task(task)
+    model, folder = load_model(run), find_run(run)
+    about = {"task": task, "model": run} | {name: read_config(folder).get(name) for name in ("size", "num_demonstrations")}
+    about |= {"seed": seed, "loop": "closed", "plan": asdict(config), "provenance": provenance()}
+    with bar() as progress:
+        shown = progress.add_task("evaluating", total=goals)
+        reached: list[bool] = []
+
+        def tell(one: Evaluated) -> None:
+            reached.append(one.trial.success)
+            progress.update(shown, completed=len(reached), description=f"evaluating  {sum(reached)}/{len(reached)} reached")
+
+        evaluated = evaluate(model, Arm(), TASKS[task], goals=goals, seed=seed, shown=read_shown(folder), config=config, progress=tell)
+    result = result_of(evaluated, about)
+    with whole_file(out) as path:
+        path.write_text(json.dumps(result, indent=2) + "\n")
+    print(summary("preimage", result))
+    for name, baseline in result["baselines"].items():
+        print(summary(name, baseline))
+
+
+def summary(name: str, counted: dict[str, Any]) -> str:
+    low, high = counted["interval"]
+    rate = f"{counted['success']}/{counted['goals']} reached (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
+    return f"{name:22s} {rate}, {counted['deviation_cm']['mean']:.2f} cm off on average"
+
+
+def known_task(task: str) -> None:
+    if task not in TASKS:
+        raise ValueError(f"{task} is no task; known are {', '.join(TASKS)}")
+
+
+def task_of(demonstrations: list) -> str | None:
+    scene = demonstrations[0].scene
+    return scene.task if scene else None
+
+
+def provenance() -> dict[str, Any]:
+    """What it takes to get a result again: the command, the commit, the versions, the machine, the day."""
+    here = Path(__file__).parent
+    described = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True, check=False)
+    return {
+        "command": shlex.join(["preimage", *sys.argv[1:]]),
+        "commit": described.stdout.strip() or None,
+        "versions": {name: version(name) for name in ("preimage", "torch", "mujoco", "numpy")} | {"python": platform.python_version()},
+        "machine": f"{platform.machine()}, {torch.get_num_threads()} threads",
+        "date": datetime.now(UTC).date().isoformat(),
+    }
+
+
+VERBS: dict[str, Callable[..., None]] = {
+    "demo": demo,
+    "record": record_,
+    "train": train_,
+    "plan": plan_,
+    "execute": execute_,
+    "evaluate": evaluate_,
+}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one verb; whatever a user can cause ends in one sentence and an exit code."""
+    description = "Learn from demonstrations; give a goal image; see the way imagined before the robot moves."
+    try:
+        tyro.extras.subcommand_cli_from_dict(VERBS, prog="preimage", description=description, args=arguments)
+    except ValueError as error:
+        fail(str(error), code=2)
+    except (NonFinite, OSError) as error:
+        fail(str(error), code=1)
+    except KeyboardInterrupt:
+        fail("interrupted; what was saved is kept", code=1)
+
+
+def fail(sentence: str, *, code: int) -> None:
+    print(f"preimage: {sentence}", file=sys.stderr)
+    raise SystemExit(code)

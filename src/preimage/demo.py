@@ -1,0 +1,58 @@
+"""The bundled model, let loose: plans to goals it never saw, executed, filmed and counted."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from preimage.evaluation import Evaluated, evaluate, result_of
+from preimage.report import Case, figure, film, page
+from preimage.robot import TASKS, Arm
+from preimage.runs import find_run, load_model, read_config, read_shown
+from preimage.whole_file import whole_file
+
+
+@dataclass(frozen=True)
+class Report:
+    """Where the page lies, and what there is to say of each goal."""
+
+    page: Path
+    lines: tuple[str, ...]
+
+
+def run(name: str, *, goals: int, seed: int, out: Path, progress: Callable[[], None]) -> Report:
+    """Plan with a bundled model, execute, and write films, figures, result.json and report.html into `out`."""
+    folder = find_run(name)
+    model, arm, task = load_model(name), Arm(), TASKS[name]
+    cases: list[Case] = []
+    lines: list[str] = []
+
+    def show(one: Evaluated) -> None:
+        case = show_case(len(cases), one, out)
+        cases.append(case)
+        verdict = "reached" if case.success else "missed"
+        took = f"planned in {one.plan.seconds:.1f} s, error {one.plan.error:.2f}"
+        lines.append(f"{case.name}: {verdict}, {100 * case.deviation_m:.1f} cm off, {took}, film {case.film}")
+        progress()
+
+    evaluated = evaluate(model, arm, task, goals=goals, seed=seed, shown=read_shown(folder), progress=show)
+    about = {"task": name, "model": name, "seed": seed, "loop": "closed"}
+    about |= {key: read_config(folder).get(key) for key in ("size", "num_demonstrations")}
+    result = result_of(evaluated, about)
+    with whole_file(out / "result.json") as path:
+        path.write_text(json.dumps(result, indent=2) + "\n")
+    written = page(result, cases, out / "report.html", title=f"preimage: {name}")
+    counted = f"{result['success']} of {result['goals']} goals reached"
+    return Report(written, (*lines, counted))
+
+
+def show_case(index: int, one: Evaluated, out: Path) -> Case:
+    """Film and figure of one goal."""
+    name = f"goal-{index + 1}"
+    return Case(
+        name=name.replace("-", " "),
+        film=film(one.plan, one.trial, out / f"{name}.mp4"),
+        figure=figure(one.plan, one.trial, out / f"{name}.png"),
+        deviation_m=one.trial.deviation_m,
+        success=one.trial.success,
+    )
