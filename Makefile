@@ -1,0 +1,37 @@
+# Everything a clone needs: `make demo` and `make test` set up .venv by themselves, once.
+# Another Python: make demo PYTHON=python3.12
+
+PYTHON ?= python3
+VENV := .venv
+RUN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: demo test fast slow check clean
+
+demo: $(READY)
+	$(RUN)/preimage demo
+
+test: fast slow
+
+fast: $(READY)
+	$(RUN)/python -m pytest -m "not slow"
+
+slow: $(READY)
+	$(RUN)/python -m pytest -m slow
+
+check: $(READY)
+	$(RUN)/ruff check .
+	$(RUN)/ruff format --check .
+	$(RUN)/pyright
+
+clean:
+	rm -rf $(VENV) demo .pytest_cache .ruff_cache .hypothesis
+
+# torch goes first and alone, so that no other package can bring in another build of it.
+$(READY): constraints.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+		{ echo "preimage needs Python 3.11 or newer, and $(PYTHON) is older or missing: make $(MAKECMDGOALS) PYTHON=/path/to/python3" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(RUN)/python -m pip install --quiet --constraint constraints.txt torch
+	$(RUN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	@touch $(READY)
