@@ -1,0 +1,91 @@
+"""For all tests: shapes are checked at every call, and the recordings, the data set and the run that several of them share."""
+
+import pkgutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from beartype import BeartypeConf, beartype
+from beartype.roar import BeartypeDecorHintPep673Exception
+from jaxtyping import config, install_import_hook
+
+LEFT_OUT = {"robot", "execution"}
+"""Rooms whose tests hand them wrong shapes to read the refusal, or whose annotations are narrower than what they pass on."""
+ROOMS = {name for _, name, _ in pkgutil.iter_modules([str(Path(__file__).parents[1] / "src/preimage")])}
+
+
+def checked(function: Callable) -> Callable:
+    """The function with its annotations enforced, except where it names `Self`, which cannot be resolved outside of the class."""
+    try:
+        return beartype(conf=BeartypeConf(is_pep484_tower=True))(function)  # an int will do for a float
+    except BeartypeDecorHintPep673Exception:
+        return function
+
+
+with install_import_hook([f"preimage.{room}" for room in ROOMS - LEFT_OUT], "conftest.checked"):
+    import preimage
+    from preimage.cli import main
+    from preimage.records import Demonstration, Scene
+    from preimage.robot import Arm, Reach
+
+ARM_JOINTS = Arm().joint_names
+
+
+def make_demonstration(
+    seed: int = 0, *, num_steps: int = 6, size: tuple[int, int, int] = (64, 64, 1), num_joints: int = 4, rate_hz: float = 10.0
+) -> Demonstration:
+    """A bright square that wanders across a grey picture, and joints that wander with it; with four joints those of the arm."""
+    height, width, channels = size
+    rng = np.random.default_rng(seed)
+    names = ARM_JOINTS if num_joints == 4 else tuple(f"joint {number}" for number in range(num_joints))
+    scene = Reach().sample(rng) if num_joints == 4 else None
+    start = np.array(scene.start_joints) if scene else np.zeros(num_joints)
+    way = np.linspace(0, 1, num_steps)[:, None]
+    joints = start + way * rng.uniform(-0.5, 0.5, num_joints)
+    frames = np.full((num_steps, height, width, channels), 90, np.uint8)
+    begin, end = np.array([height // 2, width // 2]), rng.integers(0, (height * 3 // 4, width * 3 // 4))
+    for step in range(num_steps):
+        row, column = (begin + way[step] * (end - begin)).astype(int)
+        frames[step, row : row + height // 4, column : column + width // 4] = 220
+    return Demonstration(frames, joints, rate_hz, tuple(names), scene)
+
+
+@pytest.fixture(scope="session")
+def demonstrations() -> list[Demonstration]:
+    """Three short recordings with the arm's joints, each in a scene of the task `reach`; nothing was simulated for them."""
+    return [make_demonstration(seed, num_steps=6 + seed) for seed in range(3)]
+
+
+@pytest.fixture(scope="session")
+def data(demonstrations, tmp_path_factory):
+    """The recordings as a data set."""
+    folder = tmp_path_factory.mktemp("data") / "three"
+    preimage.save(demonstrations, folder, task="reach")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def run_folder(data, tmp_path_factory):
+    """A run that was trained by the command line, for two updates: it knows nothing, but all its files are there."""
+    folder = tmp_path_factory.mktemp("runs") / "tiny"
+    main(["train", str(data), "--out", str(folder), "--size", "tiny", "--updates", "2"])
+    return folder
+
+
+@pytest.fixture(scope="session")
+def model(run_folder):
+    return preimage.load_model(run_folder)
+
+
+@pytest.fixture(scope="session")
+def scene(demonstrations) -> Scene:
+    return demonstrations[0].scene
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """Shapes are not checked, as it is outside of the tests: for what a user gets to read where shapes are wrong."""
+    config.update("jaxtyping_disable", True)
+    yield
+    config.update("jaxtyping_disable", False)
