@@ -129,7 +129,7 @@ def plan_(
     out: Path,
     start: str | None = None,
     goal_joints: tuple[float, ...] | None = None,
-    config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
+    config: Annotated[PlanConfig, tyro.conf.arg(name="search")] = PlanConfig(),  # noqa: B008, frozen
 ) -> None:
     """Imagine a way to a goal.
 
@@ -138,9 +138,11 @@ def plan_(
         goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set.
         out: folder to write: the plan, a film and a figure of it, and the joints as CSV.
         start: where the start comes from, likewise; by default the mean start of the demonstrations.
-        goal_joints: joint angles of the goal (rad), for --config.goal joints or both.
+        goal_joints: joint angles of the goal (rad), for --search.goal joints or both.
         config: how the plan is searched for.
     """
+    if goal_joints is not None and config.goal == "vision":
+        raise ValueError("--goal-joints is not looked at while --search.goal is vision: give --search.goal joints, or both")
     model = load_model(run)
     wanted = find_percept(goal, model.sensors, default_step=-1)
     percept = wanted.percept if goal_joints is None else Percept(wanted.percept.frame, torch.tensor(goal_joints).double().numpy())
@@ -257,8 +259,10 @@ def main(arguments: list[str] | None = None) -> None:
         tyro.extras.subcommand_cli_from_dict(VERBS, prog="preimage", description=description, args=arguments)
     except ValueError as error:
         fail(str(error), code=2)
-    except (NonFinite, OSError) as error:
+    except NonFinite as error:
         fail(str(error), code=1)
+    except OSError as error:
+        fail(f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error), code=1)
     except KeyboardInterrupt:
         fail("interrupted; what was saved is kept", code=1)
 

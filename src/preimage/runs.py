@@ -12,6 +12,7 @@ Files are written beside their place and then moved into it, so that a killed pr
 
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import resources
@@ -21,7 +22,8 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
+from safetensors.torch import save as to_bytes
 
 from preimage.model import PDVMRNN, ModelConfig, Sensors
 from preimage.records import Demonstration, Shown
@@ -61,7 +63,7 @@ def write_weights(folder: Path, model: PDVMRNN, dtype: torch.dtype = torch.float
     """Write model.safetensors: weights and intention table, in `dtype` (half precision halves the file)."""
     tensors = {name: value.to(dtype).contiguous() for name, value in model.state_dict().items()}
     with whole_file(folder / "model.safetensors") as path:
-        save_file(tensors, path)
+        path.write_bytes(to_bytes(tensors))
 
 
 def write_shown(folder: Path, demonstrations: Sequence[Demonstration]) -> None:
@@ -85,11 +87,11 @@ def read_shown(folder: Path) -> list[Shown]:
     """
     path = folder / "shown.npz"
     try:
-        with np.load(path) as arrays:
+        with path.open("rb") as file, np.load(file) as arrays:
             ways = np.split(arrays["joints"].astype(np.float64), np.cumsum(arrays["lengths"])[:-1])
             parts = zip(arrays["last_frames"], ways, arrays["rates_hz"].tolist(), strict=True)
             return [Shown(*part) for part in parts]
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"{path} cannot be read ({error}): restore it or train again") from error
 
 

@@ -35,9 +35,11 @@ def find_percept(source: str, sensors: Sensors, *, default_step: int) -> Found:
     """
     if Path(source).is_file():
         return Found(Percept(frame=read_image(Path(source), sensors)))
-    folder, *numbers = source.split(":")
-    if not 1 <= len(numbers) <= 2 or not Path(folder).is_dir():
+    splits = [source.rsplit(":", count) for count in (1, 2)]  # from the right, for a path may hold colons itself
+    named = [(folder, numbers) for folder, *numbers in splits if numbers and Path(folder).is_dir()]
+    if not named:
         raise ValueError(f"{source} is neither an image file nor a step of a data set: give FILE, DATA:EPISODE or DATA:EPISODE:STEP")
+    folder, numbers = named[0]
     try:
         episode, step = int(numbers[0]), int(numbers[1]) if len(numbers) == 2 else default_step
     except ValueError as error:

@@ -1,0 +1,96 @@
+"""Where starts and goals come from: image files, and steps of recorded demonstrations."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from conftest import make_demonstration
+from preimage.dataset import save
+from preimage.sequences import sensors_of
+from preimage.sources import find_percept, read_image
+
+
+@pytest.fixture(scope="module")
+def sensors(demonstrations):
+    return sensors_of(demonstrations)
+
+
+NOISE = np.random.default_rng(0).integers(0, 256, (64, 64), np.uint8)
+
+
+@pytest.fixture
+def picture(tmp_path):
+    path = tmp_path / "goal.png"
+    Image.fromarray(NOISE).save(path)
+    return path
+
+
+def test_an_image_is_a_frame_without_joints(picture, sensors):
+    found = find_percept(str(picture), sensors, default_step=-1)
+    np.testing.assert_array_equal(found.percept.frame[..., 0], NOISE)
+    assert (found.percept.joints, found.scene) == (None, None)
+
+
+def test_a_colour_image_is_grey_to_a_model_that_sees_grey(tmp_path, sensors):
+    Image.new("RGB", (64, 64), (10, 10, 10)).save(tmp_path / "colour.png")
+    assert (read_image(tmp_path / "colour.png", sensors) == 10).all()
+
+
+def test_a_grey_image_has_three_channels_to_a_model_that_sees_colour(tmp_path, picture):
+    colour = sensors_of([make_demonstration(size=(64, 64, 3))])
+    assert read_image(picture, colour).shape == (64, 64, 3)
+
+
+@pytest.mark.parametrize(("source", "default_step", "step"), [("{}:1", -1, -1), ("{}:1", 0, 0), ("{}:1:2", -1, 2), ("{}:1:-2", 0, -2)])
+def test_a_step_of_an_episode_has_frame_joints_and_scene(data, demonstrations, sensors, source, default_step, step):
+    found = find_percept(source.format(data), sensors, default_step=default_step)
+    np.testing.assert_array_equal(found.percept.frame, demonstrations[1].frames[step])
+    np.testing.assert_allclose(found.percept.joints, demonstrations[1].joints[step], atol=1e-6)
+    assert found.scene == demonstrations[1].scene
+
+
+@pytest.mark.parametrize(
+    ("source", "sentence"),
+    [
+        ("nowhere.png", "nowhere.png is neither an image file nor a step of a data set: give FILE, DATA:EPISODE or DATA:EPISODE:STEP"),
+        ("nowhere:3", "nowhere:3 is neither"),
+        ("{}", "is neither an image file nor a step of a data set"),
+        ("{}:0:1:2", "is neither an image file nor a step of a data set"),
+        ("{}:first", "does not name an episode by number"),
+        ("{}:0:last", "does not name an episode by number"),
+        ("{}:", "does not name an episode by number"),
+        ("{}:3", "has episodes 0 to 2, not 3"),
+        ("{}:-1", "has episodes 0 to 2, not -1"),
+        ("{}:0:6", "has steps 0 to 5, not 6"),
+        ("{}:0:-7", "has steps 0 to 5, not -7"),
+    ],
+)
+def test_a_source_that_names_nothing_is_told(data, sensors, source, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        find_percept(source.format(data), sensors, default_step=-1)
+
+
+@pytest.mark.parametrize("content", [b"", b"this is no picture", b"\x89PNG\r\n\x1a\n and then nothing"])
+def test_a_file_that_is_no_image_is_told(tmp_path, sensors, content):
+    (tmp_path / "goal.png").write_bytes(content)
+    with pytest.raises(ValueError, match=r"goal.png is not an image that can be read: give a PNG or JPEG file"):
+        read_image(tmp_path / "goal.png", sensors)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+def test_an_image_cut_short_is_told(picture, sensors, share):
+    whole = picture.read_bytes()
+    picture.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(ValueError, match="is not an image that can be read"):
+        read_image(picture, sensors)
+
+
+def test_an_image_of_another_size_is_told(tmp_path, sensors):
+    Image.new("L", (640, 480)).save(tmp_path / "large.png")
+    with pytest.raises(ValueError, match=r"large.png is 640x480 pixels, the model sees 64x64: scale or crop it"):
+        read_image(tmp_path / "large.png", sensors)
+
+
+def test_a_folder_with_a_colon_in_its_name_is_found(demonstrations, sensors, tmp_path):
+    save(demonstrations, tmp_path / "take:2", task="reach")
+    assert find_percept(f"{tmp_path}/take:2:1", sensors, default_step=0).scene == demonstrations[1].scene
