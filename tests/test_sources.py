@@ -31,6 +31,10 @@ def test_an_image_is_a_frame_without_joints(picture, sensors):
     assert (found.percept.joints, found.scene) == (None, None)
 
 
+def test_a_frame_from_an_image_can_be_written_to(picture, sensors):
+    assert read_image(picture, sensors).flags.writeable  # torch warns of frames that cannot
+
+
 def test_a_colour_image_is_grey_to_a_model_that_sees_grey(tmp_path, sensors):
     Image.new("RGB", (64, 64), (10, 10, 10)).save(tmp_path / "colour.png")
     assert (read_image(tmp_path / "colour.png", sensors) == 10).all()

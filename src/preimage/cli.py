@@ -39,9 +39,9 @@ SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small"
 
 
 def bar() -> Progress:
-    """A progress bar with the time left."""
+    """A progress bar with the time left; in a log, where it could not move, there is none."""
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-    return Progress(*columns, console=console)
+    return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
 def demo(task: Literal["reach"] = "reach", goals: int = 5, seed: int = 7, out: Path = Path("demo")) -> None:

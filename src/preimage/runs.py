@@ -103,9 +103,12 @@ def read_config(folder: Path) -> dict[str, Any]:
     """
     path = find_run(folder) / "config.json"
     try:
-        return json.loads(path.read_text())
+        config = json.loads(path.read_text())
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is not JSON ({error}): train again or restore the file") from error
+    if not isinstance(config, dict):
+        raise ValueError(f"{path} holds a {type(config).__name__}, not the settings of a run: train again or restore the file")
+    return config
 
 
 def load_model(name: str | Path) -> PDVMRNN:

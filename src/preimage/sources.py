@@ -61,7 +61,7 @@ def read_image(path: Path, sensors: Sensors) -> np.ndarray:
     """
     try:
         with Image.open(path) as image:
-            picture = np.asarray(image.convert("L" if sensors.channels == 1 else "RGB"))
+            picture = np.array(image.convert("L" if sensors.channels == 1 else "RGB"))  # a copy, for torch wants to own it
     except OSError as error:
         raise ValueError(f"{path} is not an image that can be read: give a PNG or JPEG file") from error
     frame = picture.reshape(*picture.shape[:2], -1)

@@ -1,0 +1,106 @@
+"""Counts, intervals and the fields of a result, against numbers known from elsewhere."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from preimage.evaluation import Evaluated, goal_of, replay_nearest, result_of, wilson_interval
+from preimage.planning import PlanConfig
+from preimage.records import Plan, Shown, Stopped, Trial
+from preimage.robot import Arm
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "interval"),
+    [
+        (0, 10, (0.0, 0.2775)),  # 3.8415 / (10 + 3.8415)
+        (10, 10, (0.7225, 1.0)),
+        (5, 10, (0.2366, 0.7634)),
+        (1, 2, (0.0945, 0.9055)),
+        (84, 100, (0.7558, 0.8990)),
+        (34, 40, (0.7093, 0.9294)),  # the paper's 84 % of 40 lies nearest to this count
+    ],
+)
+def test_wilson_interval_by_hand(successes, trials, interval):
+    assert wilson_interval(successes, trials) == pytest.approx(interval, abs=1e-4)
+
+
+@given(st.integers(1, 500).flatmap(lambda trials: st.tuples(st.integers(0, trials), st.just(trials))))
+def test_the_interval_holds_the_rate_and_mirrors_with_failures(counts):
+    successes, trials = counts
+    low, high = wilson_interval(successes, trials)
+    assert 0 <= low <= successes / trials + 1e-12
+    assert successes / trials - 1e-12 <= high <= 1
+    assert wilson_interval(trials - successes, trials) == pytest.approx((1 - high, 1 - low))
+
+
+def test_no_trial_has_no_interval():
+    with pytest.raises(ValueError, match="an interval needs 1 trial or more, there are 0"):
+        wilson_interval(0, 0)
+
+
+def trial_of(demonstration, deviation_m: float) -> Trial:
+    ends = np.zeros((len(demonstration), 3))
+    return Trial(demonstration.frames, demonstration.joints, ends, deviation_m, deviation_m < 0.04, demonstration.scene)
+
+
+@pytest.fixture
+def evaluated(demonstrations) -> list[Evaluated]:
+    def one(demonstration, deviation_m: float, seconds: float) -> Evaluated:
+        plan = Plan(
+            frames=demonstration.frames,
+            joints=demonstration.joints,
+            arrival_step=4,
+            rate_hz=5.0,
+            joint_names=demonstration.joint_names,
+            start=demonstration.first,
+            goal=demonstration.last,
+            error=2.5,
+            errors=np.array([3.0, 2.5]),
+            stopped=Stopped.CONVERGED,
+            seconds=seconds,
+        )
+        trials = [trial_of(demonstration, each) for each in (deviation_m, 0.5, 0.03)]
+        return Evaluated(demonstration, plan, *trials)
+
+    return [one(*each) for each in zip(demonstrations, (0.01, 0.02, 0.09), (1.0, 2.0, 6.0), strict=True)]
+
+
+def test_a_result_has_every_field_and_survives_json(evaluated):
+    about = {"task": "reach", "model": "here", "size": "tiny", "num_demonstrations": 3, "seed": 5, "loop": "closed"}
+    result = json.loads(json.dumps(result_of(evaluated, about)))
+    assert about.items() <= result.items()
+    assert (result["success"], result["goals"]) == (2, 3)
+    assert result["success_rate"] == pytest.approx(2 / 3)
+    assert result["interval"] == pytest.approx(wilson_interval(2, 3))
+    assert result["deviation_cm"] == {"mean": 4.0, "median": 2.0, "max": 9.0}
+    assert (result["seconds_per_plan"], result["seconds_per_plan_max"]) == (3.0, 6.0)
+    baselines = result["baselines"]
+    assert {name: counts["success"] for name, counts in baselines.items()} == {"do_nothing": 0, "nearest_demonstration": 3}
+    assert baselines["do_nothing"]["deviation_cm"]["mean"] == 50.0
+
+
+def test_rows_tell_each_goal(evaluated):
+    rows = result_of(evaluated, {})["rows"]
+    assert [row["goal"] for row in rows] == [0, 1, 2]
+    assert [row["success"] for row in rows] == [True, True, False]
+    assert [row["deviation_cm"] for row in rows] == [1.0, 2.0, 9.0]
+    assert {row["arrival_step"] for row in rows} == {4}
+    assert [row["demonstration_steps"] for row in rows] == [3, 3, 4]  # 6, 7 and 8 steps at 10 Hz, seen at 5 Hz
+    assert {row["stopped"] for row in rows} == {"converged"}
+
+
+@pytest.mark.parametrize(("modality", "frame", "joints"), [("vision", True, False), ("joints", False, True), ("both", True, True)])
+def test_the_planner_is_shown_no_more_of_a_goal_than_it_may_use(demonstrations, modality, frame, joints):
+    goal = goal_of(demonstrations[0], PlanConfig(goal=modality))
+    assert (goal.frame is not None, goal.joints is not None) == (frame, joints)
+
+
+def test_the_nearest_demonstration_is_the_one_that_ends_alike(demonstrations, scene):
+    shown = [Shown(each.frames[-1], each.joints, each.rate_hz) for each in demonstrations]
+    for demonstration in demonstrations:
+        trial = replay_nearest(shown, demonstration.last, Arm(), scene)
+        np.testing.assert_allclose(trial.joints[-1], demonstration.joints[-1], atol=0.02)
