@@ -1,17 +1,19 @@
-"""The robot: kinematics, camera, arm, the task of reaching and its tutor."""
+"""The robot: kinematics, camera, arm and what it touches."""
 
 import mujoco
 import numpy as np
 import pytest
 
-from preimage.robot import TASKS, Arm, Camera, Furniture, Reach, forward_kinematics, inverse_kinematics, record, show
+from preimage.robot import Arm, Camera, Furniture, forward_kinematics, inverse_kinematics
+from preimage.robot.arm import CIRCLE_RADIUS_M, GRIPPER_OPEN_M, OBJECT_RADIUS_M
 from preimage.robot.camera import Renderer
-from preimage.robot.hand import MAX_STEPS, MIN_STEPS
-from preimage.robot.kinematics import PITCHES_DEG, reaching_joints
-from preimage.robot.tasks import MARGIN_M, reachable_share
+from preimage.robot.kinematics import BASE_M, HOME_M, PITCHES_DEG, from_polar, grasping_joints, reaching_joints, to_polar
+from preimage.robot.task import LARGE_TABLE_CAMERA
 
-COUNT = 4
 MILLIMETRE = 1e-3
+OBJECT_M = (0.4, 0.1, 0.05)
+POSITIONS_M = {"circle": (0.3, -0.2, 0), "other_circle": (0.6, -0.1, 0), "object": OBJECT_M}
+FULL = Furniture(1.0, LARGE_TABLE_CAMERA, circles=("circle", "other_circle"), has_object=True, has_gripper=True)
 
 
 @pytest.fixture(scope="module")
@@ -19,9 +21,30 @@ def arm():
     return Arm()
 
 
-@pytest.fixture(scope="module")
-def demonstrations(arm):
-    return record(arm, Reach(), count=COUNT, seed=0)
+@pytest.fixture
+def handy():
+    """An arm with a gripper, an object and two circles in reach."""
+    return _handy()
+
+
+def _handy():
+    arm = Arm()
+    arm.furnish(FULL)
+    arm.reset(arm.home, POSITIONS_M)
+    return arm
+
+
+def stand(arm, position_m):
+    """The hand, open and tilted as for a grasp, is at a place, and the things are in theirs."""
+    arm.reset([*grasping_joints(np.array(position_m)), GRIPPER_OPEN_M], POSITIONS_M)
+
+
+def go(arm, position_m, opening_m, seconds):
+    """Move the hand, tilted as for a grasp, straight to a place, and let it come to rest."""
+    here = arm.end_effector_m
+    for share in np.linspace(0.1, 1, 10):
+        arm.move([*grasping_joints(here + share * (np.array(position_m) - here)), opening_m], seconds / 10)
+    arm.move([*grasping_joints(np.array(position_m)), opening_m], 0.4)
 
 
 def random_joints(num, seed=0):
@@ -69,6 +92,12 @@ def test_forward_kinematics_agrees_with_mujoco(arm):
         np.testing.assert_allclose(forward_kinematics(joints), arm.end_effector_m, atol=1e-9)
 
 
+def test_polar_undoes_itself():
+    positions = np.random.default_rng(0).uniform([-0.5, -0.5, 0], [1, 0.5, 1], size=(50, 3))
+    np.testing.assert_allclose(from_polar(to_polar(positions)), positions, atol=1e-12)
+    np.testing.assert_allclose(to_polar(BASE_M + [0.0, 0.5, 0.2]), [0.5, np.pi / 2, 0.2], atol=1e-12)
+
+
 def test_constants_agree_with_the_model(arm):
     limits = [arm._model.joint(name).range for name in arm.joint_names]
     np.testing.assert_array_equal(arm.joint_limits, limits)
@@ -89,9 +118,9 @@ def test_frame_depends_on_the_state_alone(arm, demonstrations):
     np.testing.assert_array_equal(arm.sense().frame, before)
 
 
-def test_every_ray_meets_what_mujocos_single_ray_meets(arm):
-    arm.reset(arm.home)
-    camera = Camera(height=32, width=32)
+@pytest.mark.parametrize("make", [Arm, _handy])
+def test_every_ray_meets_what_mujocos_single_ray_meets(make):
+    arm, camera = make(), Camera(height=32, width=32)
     geoms, _, _ = Renderer(camera, arm._model)._meet(arm._data, np.array(camera.position_m), camera.rays(1)[:, 0])
     met = np.empty(1, np.int32)
     for geom, ray in zip(geoms, camera.rays(1)[:, 0], strict=True):
@@ -188,6 +217,95 @@ def test_the_links_never_touch_each_other(arm):
         assert all("table" in {arm._model.geom(geom).name for geom in pair} for pair in pairs), geoms
 
 
+# Gripper, object and circles
+
+
+def test_the_gripper_is_a_fifth_joint(handy):
+    assert handy.joint_names == ("joint1", "joint2", "joint4", "joint6", "gripper")
+    assert handy.joint_units == ("rad",) * 4 + ("m",)
+    assert handy.joint_limits.shape == (5, 2)
+    assert handy.velocity_limits.shape == (5,)
+    np.testing.assert_allclose(forward_kinematics(handy.home[:4]), HOME_M, atol=1e-9)
+    assert handy.home[4] == GRIPPER_OPEN_M
+    np.testing.assert_array_equal(handy.sense().joints, handy.home)
+    fingers = [handy._data.joint(name).qpos[0] for name in ("left_finger", "right_finger")]
+    assert fingers == [GRIPPER_OPEN_M] * 2
+
+
+def test_an_arm_gives_its_gripper_back(arm):
+    other = _handy()
+    other.furnish(Furniture())
+    assert other.joint_names == arm.joint_names
+    arm.reset(arm.home)
+    np.testing.assert_array_equal(other.sense().frame, arm.sense().frame)
+
+
+def test_things_lie_where_they_were_put(handy):
+    witness = handy.witness()
+    np.testing.assert_allclose(witness.object_m, OBJECT_M)
+    assert witness.object_uprightness == 1
+    assert witness.gripper_m == GRIPPER_OPEN_M
+    assert handy._data.body("other_circle").xpos.tolist() == [0.6, -0.1, 0]
+    handy.reset(handy.home)
+    assert handy._data.body("other_circle").xpos.tolist() == [0, 0, 0]
+
+
+def test_what_is_not_on_the_table_is_not_placed(arm, handy):
+    with pytest.raises(ValueError, match="positions_m places 'marker'; on the table are circle, other_circle, object"):
+        handy.reset(handy.home, {"marker": (0, 0, 0)})
+    with pytest.raises(ValueError, match="positions_m places 'object'; on the table are no things"):
+        arm.reset(arm.home, {"object": (0, 0, 0)})
+
+
+def test_circles_are_seen_in_their_size_and_touch_nothing(handy):
+    seen = Renderer(Camera((0.5, 0.01, 3.0), (0.5, 0.0, 0.0), 30, 200, 200), handy._model)
+    geoms, _ = seen._cast(handy._data, seen._middle_rays)
+    pixel_m = 3.0 * 2 * np.tan(np.radians(15)) / 200
+    circle = handy._model.body("other_circle").geomadr[0]
+    assert (geoms == circle).sum() * pixel_m**2 == pytest.approx(np.pi * CIRCLE_RADIUS_M**2, rel=0.03)
+    stand(handy, (0.3, -0.2, 0.02))
+    handy.move(handy.sense().joints, 0.1)
+    assert handy._data.ncon == 4, "the object on the table and nothing else"
+
+
+def test_the_gripper_is_sensed_as_it_was_commanded(handy):
+    """Fingers that hold the object stand at its width; the command says that they hold."""
+    stand(handy, (*OBJECT_M[:2], 0.2))
+    go(handy, (*OBJECT_M[:2], 0.08), GRIPPER_OPEN_M, 1.0)
+    go(handy, (*OBJECT_M[:2], 0.08), 0.0, 0.8)
+    assert handy.sense().joints[4] == 0
+    assert handy._data.joint("left_finger").qpos[0] == pytest.approx(OBJECT_RADIUS_M, abs=MILLIMETRE)
+    go(handy, (*OBJECT_M[:2], 0.2), 0.0, 1.0)
+    assert handy.witness().object_m[2] == pytest.approx(0.17, abs=5 * MILLIMETRE)
+    assert handy.witness().object_uprightness > 0.99
+
+
+def test_the_object_rests_where_it_stands(handy):
+    handy.move(handy.home, 2.0)
+    np.testing.assert_allclose(handy.witness().object_m, OBJECT_M, atol=0.2 * MILLIMETRE)
+    assert handy.witness().object_uprightness > 0.9999
+
+
+@pytest.mark.parametrize("height_m", [0.03, 0.09])
+def test_the_hand_does_not_pass_through_the_object(handy, height_m):
+    """A hand that sweeps across the object's place takes it along or throws it over: it never stands there unmoved."""
+    x, y, _ = OBJECT_M
+    stand(handy, (x, y - 0.2, height_m))
+    go(handy, (x, y + 0.1, height_m), GRIPPER_OPEN_M, 1.5)
+    assert np.linalg.norm(handy.witness().object_m - OBJECT_M) > 0.03
+
+
+def test_the_palm_does_not_pass_through_the_object(handy):
+    """Lowered over the object with the fingers beside it, the palm stops at its top, which is 10 cm high."""
+    x, y, _ = OBJECT_M
+    stand(handy, (x, y, 0.2))
+    go(handy, (x, y, 0.03), GRIPPER_OPEN_M, 2.0)
+    assert handy.end_effector_m[2] > 0.05 or handy.witness().object_uprightness < 0.9
+
+
+# Furniture
+
+
 def test_furnish_builds_only_what_changed(arm):
     model = arm._model
     arm.furnish(Furniture())
@@ -216,120 +334,3 @@ def test_wrong_joints_are_refused(arm, verb, joints, message):
 def test_a_move_in_no_time_is_refused(arm):
     with pytest.raises(ValueError, match="seconds is 0"):
         arm.move(arm.home, seconds=0)
-
-
-# Task and tutor: the contract every task fulfils
-
-
-@pytest.fixture(params=sorted(TASKS))
-def task(request):
-    return TASKS[request.param]
-
-
-def test_tasks_are_called_by_their_names():
-    assert {name: task.name for name, task in TASKS.items()} == {name: name for name in TASKS}
-
-
-def test_same_seed_same_demonstration_whatever_the_count(arm, task):
-    for index, (one, other) in enumerate(zip(record(arm, task, count=1, seed=3), record(Arm(), task, count=2, seed=3), strict=False)):
-        np.testing.assert_array_equal(one.frames, other.frames, err_msg=f"demonstration {index}")
-        np.testing.assert_array_equal(one.joints, other.joints)
-        assert one.scene == other.scene
-
-
-def test_scenes_differ_within_and_between_seeds(arm, task):
-    streams = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,))) for seed in (0, 1) for index in (0, 1)]
-    assert len({str(task.sample(rng)) for rng in streams}) == 4
-
-
-def test_demonstrations_are_finite_whole_and_unshared(arm, demonstrations):
-    for demonstration in demonstrations:
-        assert MIN_STEPS <= len(demonstration) <= MAX_STEPS
-        assert demonstration.frames.dtype == np.uint8
-        assert demonstration.joints.dtype == np.float64
-        assert np.isfinite(demonstration.joints).all()
-        assert demonstration.frames[0].std() > 0
-    percepts = [arm.sense(), arm.sense()]
-    untouched = percepts[1].frame.copy()
-    percepts[0].frame[:] = 0
-    percepts[0].joints[:] = 0
-    np.testing.assert_array_equal(percepts[1].frame, untouched)
-    assert np.abs(percepts[1].joints).max() > 0
-    assert np.abs(arm.sense().joints).max() > 0
-
-
-def test_the_tutor_succeeds_and_so_does_who_repeats_its_joints(arm, task, demonstrations):
-    for demonstration in demonstrations:
-        task.lay_out(arm, demonstration.scene)
-        assert not task.judge(arm, demonstration.scene).success, "solved before it began"
-        for joints in demonstration.joints[1:]:
-            arm.move(joints, seconds=1 / task.rate_hz)
-        judgement = task.judge(arm, demonstration.scene)
-        assert judgement.success
-        assert judgement.deviation_m < 0.1 * MILLIMETRE
-
-
-def test_the_tutor_stays_within_every_limit_and_touches_nothing(arm, demonstrations):
-    lower, upper = arm.joint_limits.T
-    for demonstration in demonstrations:
-        assert ((demonstration.joints >= lower) & (demonstration.joints <= upper)).all()
-        speeds = np.abs(np.diff(demonstration.joints, axis=0)) * demonstration.rate_hz
-        assert (speeds <= arm.velocity_limits).all()
-        for joints in demonstration.joints:
-            arm.reset(joints)
-            assert arm._data.ncon == 0
-
-
-def test_show_starts_where_the_scene_says(arm, task):
-    rng = np.random.default_rng(5)
-    scene = task.sample(rng)
-    demonstration = show(arm, task, scene, rng)
-    np.testing.assert_array_equal(demonstration.joints[0], scene.start_joints)
-    assert demonstration.scene is scene
-    assert demonstration.joint_names == arm.joint_names
-    assert demonstration.rate_hz == task.rate_hz
-
-
-def test_record_tells_its_progress(arm):
-    told = []
-    record(arm, Reach(), count=2, seed=0, progress=lambda done, count: told.append((done, count)))
-    assert told == [(1, 2), (2, 2)]
-
-
-@pytest.mark.parametrize(("count", "seed", "message"), [(0, 0, "count is 0"), (1, -1, "seed is -1")])
-def test_record_refuses_too_small_numbers(arm, count, seed, message):
-    with pytest.raises(ValueError, match=message):
-        record(arm, Reach(), count=count, seed=seed)
-
-
-# Reaching
-
-
-def test_goals_lie_on_the_table_and_not_where_the_arm_already_is():
-    rng, task = np.random.default_rng(0), Reach()
-    scenes = [task.sample(rng) for _ in range(300)]
-    goals = np.array([scene.positions_m["goal"] for scene in scenes])
-    starts = forward_kinematics(np.array([scene.start_joints for scene in scenes]))
-    assert (np.linalg.norm(goals - starts, axis=1) > 0.1).all()
-    assert (np.abs(goals - [0.37, 0, 0.03]) <= [0.37 - MARGIN_M, 0.37 - MARGIN_M, 0]).all()
-    assert np.ptp(goals[:, 0]) > 0.65
-    assert np.ptp(goals[:, 1]) > 0.65
-
-
-def test_nearly_the_whole_table_is_in_reach():
-    assert reachable_share(Reach()) == pytest.approx(0.989, abs=0.002)
-
-
-def test_a_goal_out_of_reach_is_refused(arm):
-    scene = Reach().sample(np.random.default_rng(0))
-    far = type(scene)(scene.task, scene.start_joints, {"goal": (2.0, 0.0, 0.03)})
-    with pytest.raises(ValueError, match=r"goal at \(2.0, 0.0, 0.03\) m is out of reach"):
-        Reach().hand_path(np.random.default_rng(0), far)
-
-
-def test_golden_demonstration(demonstrations):
-    """Numbers that move when anything in the making of demonstrations does; print them to renew them."""
-    first = demonstrations[0]
-    assert len(first) == 59
-    assert first.joints.mean() == pytest.approx(-0.0292781, abs=1e-6)
-    assert first.frames.mean() == pytest.approx(104.045, abs=1e-2)

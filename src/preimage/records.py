@@ -33,7 +33,7 @@ class Scene:
     task: str
     """Name of the task, as on the command line."""
     start_joints: tuple[float, ...]
-    """Joint angles before the first step (rad)."""
+    """Joints before the first step (rad; gripper: m)."""
     positions_m: Mapping[str, tuple[float, ...]]
     """Positions by name, in the frame of the table: x away from the robot, y to its left, z up (m)."""
 
@@ -120,14 +120,16 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One execution: what the robot sensed step by step, and how the task judged the end of it."""
+    """One execution: what the robot sensed step by step, and how the task judged the course of it."""
 
     frames: UInt8[np.ndarray, "T H W C"]
     joints: Float[np.ndarray, "T J"]
     end_effector_m: Float[np.ndarray, "T 3"]
     deviation_m: float
-    """Distance between the end effector and the goal position after the last step."""
+    """Distance between what the task brings to the goal (the end effector, the object) and the goal after the last step."""
     success: bool
     scene: Scene
     limited: tuple[str, ...] = field(default=())
     """One sentence for every limit that changed the commanded joints."""
+    details: Mapping[str, float] = field(default_factory=dict)
+    """What else the judge saw: distances (m) and truths by name, ready for JSON. Each task says which."""

@@ -1,10 +1,14 @@
 """The simulated robot: an arm with a camera, tasks for it, and a tutor who demonstrates them."""
 
-from preimage.robot.arm import Arm, Furniture
+from preimage.robot.arm import Arm, Furniture, Witness
 from preimage.robot.camera import Camera
 from preimage.robot.kinematics import forward_kinematics, inverse_kinematics
-from preimage.robot.tasks import TASKS, Judgement, Reach, Task
+from preimage.robot.move_object import MoveObject, succeeds_within
+from preimage.robot.reach import Reach
+from preimage.robot.task import Judgement, Task, with_frames
+from preimage.robot.tasks import TASKS
 from preimage.robot.tutor import record, show
+from preimage.robot.two_points import ReachTwo
 
 __all__ = [
     "TASKS",
@@ -12,10 +16,15 @@ __all__ = [
     "Camera",
     "Furniture",
     "Judgement",
+    "MoveObject",
     "Reach",
+    "ReachTwo",
     "Task",
+    "Witness",
     "forward_kinematics",
     "inverse_kinematics",
     "record",
     "show",
+    "succeeds_within",
+    "with_frames",
 ]

@@ -2,19 +2,18 @@
 
 >>> start, goal = np.zeros(4), np.full(4, 0.5)
 >>> path = lead(np.random.default_rng(0), start, goal)
->>> bool(MIN_STEPS <= len(path) <= MAX_STEPS), np.allclose(path[0], start), np.allclose(path[-1], goal)
+>>> bool(25 <= len(path) <= 60), np.allclose(path[0], start), np.allclose(path[-1], goal)
 (True, True, True)
 """
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from preimage.robot.kinematics import JOINT_LIMITS, VELOCITY_LIMITS, forward_kinematics
 
-MIN_STEPS, MAX_STEPS = 25, 60
-"""Shortest and longest path, pauses and rest included."""
-REST_STEPS = 3
-"""Steps at the goal after arriving."""
 MIN_MOVING_STEPS = 15
 """Pauses are left out where they would leave fewer steps than this to move."""
 PAUSE_CHANCES = (0.4, 0.4, 0.2)
@@ -23,8 +22,6 @@ PAUSE_STEPS = (2, 5)
 """Shortest and longest pause."""
 SPEED_SD = 0.35
 """Standard deviation of the hand's speed about its mean, as a share of it."""
-DETOUR_SD = 0.07
-"""Standard deviation of the bump towards a via-point (rad)."""
 WOBBLE_SD = 0.006
 """Standard deviation of the slow wobble (rad)."""
 STEPS_A_WOBBLE = 5
@@ -35,32 +32,78 @@ MAX_SPEED_SHARE = 0.95
 MAX_TRIES = 1000
 
 
+@dataclass(frozen=True)
+class Manner:
+    """How a hand leads to a place."""
+
+    steps: tuple[int, int] = (25, 60)
+    """Shortest and longest path, pauses and rest included."""
+    rest_steps: int = 3
+    """Steps at the goal after arriving."""
+    detour_sd: float = 0.07
+    """Standard deviation of the bump towards a via-point (rad)."""
+
+
 def lead_safely(
     rng: np.random.Generator,
     start: Float[np.ndarray, " J"],
     goal: Float[np.ndarray, " J"],
     *,
     rate_hz: float,
+    manner: Manner = Manner(),
 ) -> Float[np.ndarray, "T J"]:
     """A path of the hand (rad) that the arm can follow: inside the joint limits, above the table, nowhere too fast.
 
     Raises:
         ValueError: none was found, as start or goal are themselves too low or outside the limits.
     """
+    return first_safe(lambda: lead(rng, start, goal, manner), rate_hz=rate_hz)
+
+
+def first_safe(make: Callable[[], Float[np.ndarray, "T J"]], *, rate_hz: float) -> Float[np.ndarray, "T J"]:
+    """The first of the paths made that the arm can follow: inside the joint limits, above the table, nowhere too fast.
+
+    Args:
+        make: draws a path, another one at every call: joint angles (rad), the gripper behind them where there is one; NaN out of reach.
+
+    Raises:
+        ValueError: none was found.
+    """
     for _ in range(MAX_TRIES):
-        path = lead(rng, start, goal)
-        if _is_inside_limits(path) and _is_above_table(path) and _is_slow_enough(path, rate_hz):
+        path = make()
+        arm = path[:, : len(JOINT_LIMITS)]
+        if _is_inside_limits(arm) and _is_above_table(arm) and _is_slow_enough(arm, rate_hz):
             return path
-    raise ValueError(f"no safe way from joints {start.round(3)} to {goal.round(3)} in {MAX_TRIES} tries: move the goal")
+    raise ValueError(f"no safe way there in {MAX_TRIES} tries: the start or the goal is too low, or too far")
 
 
-def lead(rng: np.random.Generator, start: Float[np.ndarray, " J"], goal: Float[np.ndarray, " J"]) -> Float[np.ndarray, "T J"]:
+def lead(
+    rng: np.random.Generator,
+    start: Float[np.ndarray, " J"],
+    goal: Float[np.ndarray, " J"],
+    manner: Manner = Manner(),
+) -> Float[np.ndarray, "T J"]:
     """Joint angles (rad), step by step, of a hand that leads the arm from start to goal and rests there."""
-    num_steps = int(rng.integers(MIN_STEPS, MAX_STEPS, endpoint=True))
-    progress = _progress(rng, num_steps)[:, None]
+    num_steps = int(rng.integers(*manner.steps, endpoint=True))
+    progress = timing(rng, num_steps, rest_steps=manner.rest_steps)[:, None]
     still_at_ends = np.sin(np.pi * progress)
     straight = start + (goal - start) * progress
-    return straight + still_at_ends * (_detour(rng, progress, len(goal)) + _wobble(rng, num_steps, len(goal)))
+    return straight + still_at_ends * (_detour(rng, progress, len(goal)) * manner.detour_sd + _wobble(rng, num_steps, len(goal)))
+
+
+def timing(rng: np.random.Generator, num_steps: int, *, rest_steps: int) -> Float[np.ndarray, " T"]:
+    """Share of the way done at each step, from 0 to 1: minimum jerk in a clock that runs unevenly and stops now and then."""
+    pauses = _pauses(rng, num_steps - rest_steps)
+    progress = minimum_jerk(_uneven_clock(rng, num_steps - rest_steps - sum(pauses)))
+    for pause in pauses:
+        at = int(rng.integers(3, len(progress) - 3))
+        progress = np.insert(progress, at, np.full(pause, progress[at]))
+    return np.concatenate([progress, np.ones(rest_steps)])
+
+
+def minimum_jerk(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+    """The smoothest way from 0 to 1: 10 t^3 - 15 t^4 + 6 t^5 (Flash and Hogan 1985)."""
+    return 10 * time**3 - 15 * time**4 + 6 * time**5
 
 
 def _is_inside_limits(path: Float[np.ndarray, "T J"]) -> bool:
@@ -75,16 +118,6 @@ def _is_above_table(path: Float[np.ndarray, "T J"]) -> bool:
 def _is_slow_enough(path: Float[np.ndarray, "T J"], rate_hz: float) -> bool:
     speeds = np.abs(np.diff(path, axis=0)) * rate_hz
     return bool((speeds <= MAX_SPEED_SHARE * VELOCITY_LIMITS).all())
-
-
-def _progress(rng: np.random.Generator, num_steps: int) -> Float[np.ndarray, " T"]:
-    """Share of the way done at each step, from 0 to 1: minimum jerk in a clock that runs unevenly and stops now and then."""
-    pauses = _pauses(rng, num_steps - REST_STEPS)
-    progress = _minimum_jerk(_uneven_clock(rng, num_steps - REST_STEPS - sum(pauses)))
-    for pause in pauses:
-        at = int(rng.integers(3, len(progress) - 3))
-        progress = np.insert(progress, at, np.full(pause, progress[at]))
-    return np.concatenate([progress, np.ones(REST_STEPS)])
 
 
 def _pauses(rng: np.random.Generator, num_steps: int) -> list[int]:
@@ -103,15 +136,10 @@ def _uneven_clock(rng: np.random.Generator, num_steps: int) -> Float[np.ndarray,
     return time / time[-1]
 
 
-def _minimum_jerk(time: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    """The smoothest way from 0 to 1: 10 t^3 - 15 t^4 + 6 t^5 (Flash and Hogan 1985)."""
-    return 10 * time**3 - 15 * time**4 + 6 * time**5
-
-
 def _detour(rng: np.random.Generator, progress: Float[np.ndarray, "T 1"], num_joints: int) -> Float[np.ndarray, "T J"]:
-    """One bump, somewhere along the way, towards a via-point (rad)."""
+    """One bump, somewhere along the way, towards a via-point, in standard deviations of it."""
     middle, width = rng.uniform(0.3, 0.7), rng.uniform(0.18, 0.3)
-    return rng.normal(scale=DETOUR_SD, size=num_joints) * np.exp(-(((progress - middle) / width) ** 2))
+    return rng.normal(size=num_joints) * np.exp(-(((progress - middle) / width) ** 2))
 
 
 def _wobble(rng: np.random.Generator, num_steps: int, num_joints: int) -> Float[np.ndarray, "T J"]:

@@ -39,6 +39,8 @@ LIMIT_MARGIN = 0.02
 PITCH_DISTANCES_M = (0.18, 0.20, 0.25, 0.30, 0.40, 0.60, 0.70, 0.75, 0.80, 0.85, 0.90)
 PITCHES_DEG = (-36, -30, -16, -6, 0, 10, 20, 26, 34, 46, 50)
 """How the hand tilts outwards with the distance of its target from the base: chosen so that it reaches nearly all of the table."""
+GRASP_PITCH_RAD = np.radians(15.0)
+"""Tilt of the hand that grasps (rad): the same everywhere, so that fingers always meet the object alike."""
 
 Numbers = float | np.ndarray
 """One number, or a batch of them."""
@@ -78,6 +80,23 @@ def reaching_joints(position_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarr
     """The joint angles (rad) of a natural reach to a place (m), the hand tilting with its distance; NaN out of reach."""
     _, radius, _ = _cylindrical(position_m)
     return inverse_kinematics(position_m, np.radians(np.interp(radius, PITCH_DISTANCES_M, PITCHES_DEG)))
+
+
+def grasping_joints(position_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 4"]:
+    """The joint angles (rad) that bring the hand to a place (m) tilted as for a grasp; NaN out of reach."""
+    return inverse_kinematics(position_m, GRASP_PITCH_RAD)
+
+
+def to_polar(position_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """Radius (m) and yaw (rad) as seen from the base, and height (m)."""
+    yaw, radius, height = _cylindrical(position_m)
+    return np.stack([radius, yaw, height], axis=-1)
+
+
+def from_polar(polar: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """The position (m) at a radius (m) and yaw (rad) as seen from the base, and a height (m)."""
+    radius, yaw, height = np.moveaxis(polar, -1, 0)
+    return BASE_M + np.stack([radius * np.cos(yaw), radius * np.sin(yaw), height], axis=-1)
 
 
 def home_joints() -> Float[np.ndarray, " 4"]:

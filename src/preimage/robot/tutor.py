@@ -1,6 +1,6 @@
 """The second of the paper's two phases: the robot replays what the hand showed and records what it senses.
 
->>> from preimage.robot.tasks import Reach
+>>> from preimage.robot.reach import Reach
 >>> demonstrations = record(Arm(), Reach(), count=1, seed=0)
 >>> demonstrations[0].frames.shape[1:], demonstrations[0].scene.task
 ((64, 64, 1), 'reach')
@@ -11,14 +11,18 @@ from collections.abc import Callable
 import numpy as np
 
 from preimage.records import Demonstration, Percept, Scene
-from preimage.robot.arm import Arm
-from preimage.robot.tasks import Task
+from preimage.robot.arm import Arm, Witness
+from preimage.robot.task import Task
+
+MAX_TRIES = 100
+"""Scenes tried for one demonstration before the task is held to be beyond the tutor."""
 
 
 def record(arm: Arm, task: Task, *, count: int, seed: int, progress: Callable[[int, int], None] | None = None) -> list[Demonstration]:
-    """New demonstrations of a task, each in a scene of its own.
+    """New demonstrations of a task, each in a scene of its own, each a success.
 
-    A demonstration depends on the seed and on its place in the list alone: the first ten are the same for every count.
+    A demonstration depends on the seed and on its place in the list alone: the first ten are the same for every count. Where the robot
+    does not succeed, another scene and another way are drawn for the same place.
 
     Args:
         count: how many, 1 or more.
@@ -35,21 +39,37 @@ def record(arm: Arm, task: Task, *, count: int, seed: int, progress: Callable[[i
     demonstrations = []
     for index in range(count):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-        demonstrations.append(show(arm, task, task.sample(rng), rng))
+        demonstrations.append(_show_until_solved(arm, task, rng))
         if progress is not None:
             progress(index + 1, count)
     return demonstrations
 
 
 def show(arm: Arm, task: Task, scene: Scene, rng: np.random.Generator) -> Demonstration:
-    """One demonstration in a scene: a hand shows the way, then the robot goes it alone and records."""
+    """One demonstration in a scene, solved or not: a hand shows the way, then the robot goes it alone and records."""
+    return _replay(arm, task, scene, rng)[0]
+
+
+def _show_until_solved(arm: Arm, task: Task, rng: np.random.Generator) -> Demonstration:
+    """The first demonstration, each in a new scene, that the task's judge calls a success."""
+    for _ in range(MAX_TRIES):
+        scene = task.sample(rng)
+        demonstration, course = _replay(arm, task, scene, rng)
+        if task.judge(scene, course).success:
+            return demonstration
+    raise ValueError(f"no demonstration of {task.name} succeeded in {MAX_TRIES} scenes")
+
+
+def _replay(arm: Arm, task: Task, scene: Scene, rng: np.random.Generator) -> tuple[Demonstration, list[Witness]]:
+    """What the robot sensed along the way that the hand showed, and what the judge saw of it."""
     path = task.hand_path(rng, scene)
     task.lay_out(arm, scene)
-    percepts = [arm.sense()]
+    percepts, course = [arm.sense()], [arm.witness()]
     for joints in path[1:]:
         arm.move(joints, seconds=1 / task.rate_hz)
         percepts.append(arm.sense())
-    return _demonstration(arm, task, scene, percepts)
+        course.append(arm.witness())
+    return _demonstration(arm, task, scene, percepts), course
 
 
 def _demonstration(arm: Arm, task: Task, scene: Scene, percepts: list[Percept]) -> Demonstration:
