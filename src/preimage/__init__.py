@@ -7,7 +7,8 @@ execution, and a film of both.
 from preimage.dataset import load, save
 from preimage.evaluation import evaluate, result_of, wilson_interval
 from preimage.execution import execute
-from preimage.model import PDVMRNN, IntentionState, ModelConfig, Sensors
+from preimage.intention import IntentionState
+from preimage.model import PDVMRNN, ModelConfig, Sensors
 from preimage.planning import PlanConfig, imagine_library, plan, recognise, regress_intention
 from preimage.plans import load_plan, save_plan
 from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial

@@ -12,7 +12,7 @@ percept 1 for t = 1, since the robot rests before it starts.
 >>> import torch
 >>> model = PDVMRNN(ModelConfig.tiny(), Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0)))
 >>> start = torch.zeros(3, 1, 16, 16), torch.full((3, 2, 10), 0.1)
->>> imagined = model.generate_closed_loop(model.prior_mean(3), start, num_steps=4)
+>>> imagined = model.generate_closed_loop(model.intention_table.prior_mean(3), start, num_steps=4)
 >>> imagined.pixels.shape, imagined.log_codes.shape
 (torch.Size([3, 4, 1, 16, 16]), torch.Size([3, 4, 2, 10]))
 """
@@ -25,11 +25,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from preimage.cells import LSTM, ConvLSTM, State
+from preimage.cells import LSTM, Conv, ConvLSTM, Linear, State, Step, depth_to_space, space_to_depth
 from preimage.coding import JointCoding
+from preimage.intention import FreeTable, IntentionState, IntentionTable, LatentTable
 
 Inputs = tuple[Float[Tensor, "B C H W"], Float[Tensor, "B J K"]]
 """What enters the lowest level at one step: pixels in [-1, 1] and joint codes."""
+InputSequence = tuple[Float[Tensor, "B T C H W"], Float[Tensor, "B T J K"]]
+NetworkStep = Callable[[Inputs, Mapping[str, State]], tuple[Inputs, dict[str, State]]]
+"""From inputs and the states before to the predicted pixels and log codes, and the states after."""
 
 
 @dataclass(frozen=True)
@@ -48,17 +52,20 @@ class ModelConfig:
     """Feature maps that carry one path to its counterpart; the paper does not say how many."""
     intention_layers: tuple[str, ...] = ("top", "vision3", "motor3")
     """Layers whose initial states are the intention; the others start from a learned state that all sequences share."""
+    intention_dimensions: int | None = 16
+    """Gaussian numbers that make an intention (`LatentTable`); None: the initial states themselves, as in the paper (`FreeTable`)."""
+    intention_cost: float = 0.003
+    """Charge while training for what an intention tells (a nat), or, where it is free, for its squared size: the walls of its room."""
     intention_noise: float = 0.0
-    """Standard deviation of the Gaussian noise on the intention while training: more noise, less room."""
-    intention_cost: float = 1e-4
-    """Charge for the squared size of an intention while training: the other wall of the room."""
+    """Standard deviation of the noise on a free intention while training."""
     rate_hz: float = 5.0
-    """Steps a second that the model runs at; recordings are brought to it."""
+    """Steps a second that the model runs at; recordings are brought to it, slower ones keep their rate."""
 
     @classmethod
     def tiny(cls) -> Self:
         """For tests: learns nothing worth seeing, in seconds."""
-        return cls(vision_channels=(4, 6), motor_units=(12, 8), top_channels=4, intention_layers=("top", "vision2", "motor2"))
+        layers = "top", "vision2", "motor2"
+        return cls((6, 8), (12, 8), top_channels=4, lateral_channels=2, intention_layers=layers, intention_dimensions=4)
 
     @classmethod
     def small(cls) -> Self:
@@ -92,45 +99,6 @@ class Sensors:
 
 
 @dataclass(frozen=True, eq=False)
-class IntentionState:
-    """Intentions of B sequences: per chosen layer what is added to its shared initial state, (B, 2, *layer), h first, then c."""
-
-    layers: Mapping[str, Tensor]
-
-    def __len__(self) -> int:
-        return len(next(iter(self.layers.values())))
-
-    def __getitem__(self, rows: Tensor) -> "IntentionState":
-        return IntentionState({name: values[rows] for name, values in self.layers.items()})
-
-    def map(self, function: Callable[[Tensor], Tensor]) -> "IntentionState":
-        """The same function applied to the values of every layer."""
-        return IntentionState({name: function(values) for name, values in self.layers.items()})
-
-    def flatten(self) -> Float[Tensor, "B D"]:
-        """One row a sequence, the layers side by side."""
-        return torch.cat([values.flatten(1) for values in self.layers.values()], dim=1)
-
-    def unflatten(self, rows: Float[Tensor, "N D"]) -> "IntentionState":
-        """Rows laid out as `flatten` does, back in the shapes of this intention's layers."""
-        sizes = [values[0].numel() for values in self.layers.values()]
-        parts = zip(self.layers.items(), rows.split(sizes, dim=1), strict=True)
-        return IntentionState({name: part.unflatten(1, values.shape[1:]) for (name, values), part in parts})
-
-
-class IntentionTable(nn.Module):
-    """One intention per training demonstration, learned with the weights."""
-
-    def __init__(self, shapes: Mapping[str, tuple[int, ...]], num_sequences: int, generator: torch.Generator) -> None:
-        super().__init__()
-        draw = {name: 0.1 * torch.randn(num_sequences, 2, *shape, generator=generator) for name, shape in shapes.items()}
-        self.rows = nn.ParameterDict({name: nn.Parameter(values) for name, values in draw.items()})
-
-    def intentions(self) -> IntentionState:
-        return IntentionState(dict(self.rows.items()))
-
-
-@dataclass(frozen=True, eq=False)
 class Generated:
     """Predicted percepts of B sequences and T steps."""
 
@@ -143,17 +111,53 @@ class Lateral(nn.Module):
 
     def __init__(self, *, channels: int, units: int, size: tuple[int, int], grid: tuple[int, int], lateral: int) -> None:
         super().__init__()
-        self.grid, self.size, self.lateral = grid, size, lateral
-        self.features = lateral * grid[0] * grid[1]
-        self.from_motor = nn.Linear(units, self.features)
-        self.from_vision = nn.Conv2d(channels, lateral, 1)
+        self.grid, self.scale, self.lateral = grid, size[0] // grid[0], lateral
+        self.from_motor = Linear(units, lateral * grid[0] * grid[1])
+        self.from_vision = Linear(channels, lateral)
 
-    def to_vision(self, hidden: Float[Tensor, "B units"]) -> Float[Tensor, "B lateral height width"]:
-        coarse = self.from_motor(hidden).unflatten(1, (self.lateral, *self.grid))
-        return coarse if self.size == self.grid else nn.functional.interpolate(coarse, size=self.size, mode="nearest")
+    def to_vision(self, dtype: torch.dtype) -> Step:
+        """(B, units) to (B, lateral, height, width)."""
+        project = self.from_motor.at(dtype)
 
-    def to_motor(self, hidden: Float[Tensor, "B channels height width"]) -> Float[Tensor, "B features"]:
-        return nn.functional.adaptive_avg_pool2d(self.from_vision(hidden), self.grid).flatten(1)
+        def step(hidden: Tensor) -> Tensor:
+            coarse = project(hidden).unflatten(1, (*self.grid, self.lateral)).permute(0, 3, 1, 2)  # (B, lateral, *grid)
+            return coarse if self.scale == 1 else nn.functional.interpolate(coarse, scale_factor=self.scale, mode="nearest")
+
+        return step
+
+    def to_motor(self, dtype: torch.dtype) -> Step:
+        """(B, channels, height, width) to (B, lateral * grid)."""
+        project = self.from_vision.at(dtype)
+
+        def step(hidden: Tensor) -> Tensor:
+            coarse = hidden if self.scale == 1 else nn.functional.avg_pool2d(hidden, self.scale)
+            return project(coarse.permute(0, 2, 3, 1)).flatten(1)  # (B, features)
+
+        return step
+
+
+class Up(nn.Module):
+    """From a layer to the one above: a convolution of kernel 6 and stride 2, computed on 2x2 patches laid side by side."""
+
+    def __init__(self, below: int, above: int) -> None:
+        super().__init__()
+        self.project = Conv(4 * below, above)
+
+    def at(self, dtype: torch.dtype) -> Step:
+        project = self.project.at(dtype)
+        return lambda maps: project(space_to_depth(maps))
+
+
+class Down(nn.Module):
+    """From a layer to the one below: a transposed convolution of kernel 6 and stride 2, computed as 2x2 patches laid side by side."""
+
+    def __init__(self, above: int, below: int) -> None:
+        super().__init__()
+        self.project = Conv(above, 4 * below)
+
+    def at(self, dtype: torch.dtype) -> Step:
+        project = self.project.at(dtype)
+        return lambda maps: depth_to_space(project(maps))
 
 
 class PDVMRNN(nn.Module):
@@ -172,6 +176,7 @@ class PDVMRNN(nn.Module):
     """Mean first joint angles of the demonstrations (rad)."""
     longest: Tensor
     """Steps of the longest demonstration: how far ahead is imagined unless something else is asked for."""
+    intention_table: IntentionTable
 
     def __init__(self, config: ModelConfig, sensors: Sensors, num_sequences: int = 1, seed: int = 0) -> None:
         super().__init__()
@@ -182,49 +187,43 @@ class PDVMRNN(nn.Module):
             self._build()
         generator = torch.Generator().manual_seed(seed)
         shapes = {name: self.state_shapes[name] for name in config.intention_layers}
-        self.intention_table = IntentionTable(shapes, num_sequences, generator)
+        if config.intention_dimensions is None:
+            self.intention_table = FreeTable(shapes, num_sequences=num_sequences, noise=config.intention_noise, generator=generator)
+        else:
+            self.intention_table = LatentTable(
+                shapes, num_sequences=num_sequences, dimensions=config.intention_dimensions, generator=generator
+            )
 
     def _build(self) -> None:
         config, sensors, shapes = self.config, self.sensors, self.state_shapes
-        vision, motor, top = config.vision_channels, config.motor_units, config.top_channels
-        grid = shapes[f"vision{config.num_levels}"][1:]
-        top_size = shapes["top"][1:]
-        lateral = config.lateral_channels
+        vision, motor, top, lateral = config.vision_channels, config.motor_units, config.top_channels, config.lateral_channels
+        grid, top_size = shapes[f"vision{config.num_levels}"][1:], shapes["top"][1:]
+        features = lateral * grid[0] * grid[1]
         self.coding = JointCoding(torch.tensor(sensors.joint_lower), torch.tensor(sensors.joint_upper), config.units_per_joint)
         num_codes = sensors.num_joints * config.units_per_joint
 
-        def up(below: int, above: int) -> nn.Module:
-            return nn.Conv2d(below, above, kernel_size=4, stride=2, padding=1)
-
-        def down(above: int, below: int) -> nn.Module:
-            return nn.ConvTranspose2d(above, below, kernel_size=4, stride=2, padding=1)
-
-        self.ups = nn.ModuleList([up(low, high) for low, high in zip((sensors.channels, *vision), (*vision, top), strict=True)])
-        self.downs = nn.ModuleList([down(high, low) for low, high in zip(vision, (*vision[1:], top), strict=True)])
+        # What flows into a layer from around it has together as many maps as the layer itself.
+        flow = [(channels - lateral) // 2 for channels in vision]
+        self.ups = nn.ModuleList(Up(low, into) for low, into in zip((sensors.channels, *vision), (*flow, top), strict=True))
+        self.downs = nn.ModuleList(Down(high, into) for into, high in zip(flow, (*vision[1:], top), strict=True))
         self.laterals = nn.ModuleList(
-            [
-                Lateral(channels=c, units=u, size=shapes[f"vision{level}"][1:], grid=grid, lateral=lateral)
-                for level, (c, u) in enumerate(zip(vision, motor, strict=True), start=1)
-            ]
+            Lateral(channels=c, units=u, size=shapes[f"vision{level}"][1:], grid=grid, lateral=lateral)
+            for level, (c, u) in enumerate(zip(vision, motor, strict=True), start=1)
         )
-        features = lateral * grid[0] * grid[1]
-        self.motor_to_top = nn.Linear(motor[-1], lateral * top_size[0] * top_size[1])
-        self.visions = nn.ModuleList([ConvLSTM(2 * channels + lateral, channels) for channels in vision])
+        self.motor_to_top = Linear(motor[-1], lateral * top_size[0] * top_size[1])
+        self.visions = nn.ModuleList(ConvLSTM(2 * into + lateral, channels) for into, channels in zip(flow, vision, strict=True))
         below = (num_codes, *motor[:-1])
         above = (*motor[1:], top * top_size[0] * top_size[1])
-        self.motors = nn.ModuleList([LSTM(b + a + features, u) for b, a, u in zip(below, above, motor, strict=True)])
+        self.motors = nn.ModuleList(LSTM(b + a + features, u) for b, a, u in zip(below, above, motor, strict=True))
         self.top = ConvLSTM(top + lateral, top)
-        self.to_pixels = down(vision[0], sensors.channels)
-        self.to_codes = nn.Linear(motor[0], num_codes)
+        self.to_pixels = Down(vision[0], sensors.channels)
+        self.to_codes = Linear(motor[0], num_codes)
         self.pixel_bias = nn.Parameter(torch.zeros(sensors.channels, sensors.height, sensors.width))
         self.code_bias = nn.Parameter(torch.zeros(sensors.num_joints, config.units_per_joint))
         self.shared = nn.ParameterDict({name: nn.Parameter(torch.zeros(2, *shape)) for name, shape in shapes.items()})
         self.register_buffer("home_pixels", torch.zeros(sensors.channels, sensors.height, sensors.width))
         self.register_buffer("home_joints", torch.zeros(sensors.num_joints))
         self.register_buffer("longest", torch.tensor(0.0))
-        for module in self.modules():
-            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
-                module.to(memory_format=torch.channels_last)  # about twice as fast on a CPU
 
     @property
     def state_shapes(self) -> dict[str, tuple[int, ...]]:
@@ -244,77 +243,104 @@ class PDVMRNN(nn.Module):
         self.pixel_bias.copy_(torch.atanh(pixels.clamp(-0.97, 0.97)))
         self.code_bias.copy_((codes + 1e-3).log())
 
-    def prior_mean(self, num_sequences: int) -> IntentionState:
-        """The intention that adds nothing to the shared initial states."""
-        return self.intention_table.intentions().map(lambda rows: rows.new_zeros(num_sequences, *rows.shape[1:]))
-
     def initial_states(self, intention: IntentionState) -> dict[str, State]:
         """The state before the first step: h = tanh(shared + intention), c = shared + intention."""
         states = {}
         for name, shared in self.shared.items():
             values = shared + intention.layers[name] if name in intention.layers else shared.expand(len(intention), *shared.shape)
-            states[name] = torch.tanh(values[:, 0]), values[:, 1]
+            hidden, cell = (in_channels_last(values[:, part]) for part in (0, 1))
+            states[name] = torch.tanh(hidden), cell
         return states
 
-    def step(self, inputs: Inputs, states: Mapping[str, State]) -> tuple[Inputs, dict[str, State]]:
-        """One step, from the top down.
+    def at(self, dtype: torch.dtype) -> NetworkStep:
+        """One step of the network in this precision, from the top down, for all steps of one sequence.
 
-        Returns:
-            the predicted pixels (B, C, H, W) and log codes (B, J, K), and the new state of every layer.
+        Cell states, predicted pixels and log codes keep the precision of the weights.
         """
-        pixels, codes = inputs
         levels = self.config.num_levels
-        before = {name: hidden for name, (hidden, _) in states.items()}
-        below_vision = [pixels, *(before[f"vision{level}"] for level in range(1, levels + 1))]
-        below_motor = [codes.flatten(1), *(before[f"motor{level}"] for level in range(1, levels + 1))]
+        top, to_pixels, to_codes, motor_to_top = (part.at(dtype) for part in (self.top, self.to_pixels, self.to_codes, self.motor_to_top))
+        ups, downs, visions, motors = ([part.at(dtype) for part in parts] for parts in (self.ups, self.downs, self.visions, self.motors))
+        to_vision, to_motor = [tie.to_vision(dtype) for tie in self.laterals], [tie.to_motor(dtype) for tie in self.laterals]
+        top_size = self.state_shapes["top"][1:]
 
-        to_top = self.motor_to_top(below_motor[-1]).unflatten(1, (-1, *self.state_shapes["top"][1:]))
-        now = {"top": self.top([self.ups[-1](below_vision[-1]), to_top], states["top"])}
-        vision_above = now["top"][0]
-        motor_above = vision_above.flatten(1)
-        for level in range(levels, 0, -1):
-            vision, motor, k = f"vision{level}", f"motor{level}", level - 1
-            from_motor = self.laterals[k].to_vision(before[motor])
-            from_vision = self.laterals[k].to_motor(before[vision])
-            around = [self.ups[k](below_vision[k]), self.downs[k](vision_above), from_motor]
-            now[vision] = self.visions[k](around, states[vision])
-            now[motor] = self.motors[k]([below_motor[k], motor_above, from_vision], states[motor])
-            vision_above, motor_above = now[vision][0], now[motor][0]
-        return self.read_out(vision_above, motor_above), now
+        def read_out(vision: Tensor, motor: Tensor) -> Inputs:
+            pixels = torch.tanh(to_pixels(vision).to(self.pixel_bias.dtype) + self.pixel_bias)
+            logits = to_codes(motor).to(self.code_bias.dtype).unflatten(1, self.code_bias.shape) + self.code_bias
+            return pixels, torch.log_softmax(logits, dim=-1)
 
-    def read_out(self, vision: Tensor, motor: Tensor) -> Inputs:
-        """Pixels and log codes from the hidden states of level 1; float32 or wider whatever the precision of the layers."""
-        pixels = torch.tanh(self.to_pixels(vision).to(self.pixel_bias.dtype) + self.pixel_bias)
-        logits = self.to_codes(motor).to(self.code_bias.dtype).unflatten(1, self.code_bias.shape) + self.code_bias
-        return pixels, torch.log_softmax(logits, dim=-1)
+        def step(inputs: Inputs, states: Mapping[str, State]) -> tuple[Inputs, dict[str, State]]:
+            pixels, codes = inputs
+            before = {name: hidden.to(dtype) for name, (hidden, _) in states.items()}
+            now = {name: (before[name], cell) for name, (_, cell) in states.items()}
+            below_vision = [pixels.to(dtype), *(before[f"vision{level}"] for level in range(1, levels + 1))]
+            below_motor = [codes.to(dtype).flatten(1), *(before[f"motor{level}"] for level in range(1, levels + 1))]
 
-    def generate_closed_loop(self, intention: IntentionState, start: Inputs, *, num_steps: int) -> Generated:
-        """Imagine `num_steps` percepts: each prediction is the next step's input; the observed start percept is the first."""
-        return self._generate(intention, start, num_steps, lambda step, predicted: predicted)
+            from_motor = motor_to_top(below_motor[-1]).unflatten(1, (*top_size, -1)).permute(0, 3, 1, 2)  # (B, lateral, height, width)
+            now["top"] = top([ups[-1](below_vision[-1]), from_motor], now["top"])
+            vision_above = now["top"][0]
+            motor_above = vision_above.flatten(1)
+            for level in range(levels, 0, -1):
+                vision, motor, k = f"vision{level}", f"motor{level}", level - 1
+                around = [ups[k](below_vision[k]), downs[k](vision_above), to_vision[k](before[motor])]
+                beside = to_motor[k](before[vision])
+                now[vision] = visions[k](around, now[vision])
+                now[motor] = motors[k]([below_motor[k], motor_above, beside], now[motor])
+                vision_above, motor_above = now[vision][0], now[motor][0]
+            return read_out(vision_above, motor_above), now
 
-    def generate_open_loop(self, intention: IntentionState, percepts: Inputs, *, share: float = 1.0) -> Generated:
+        return step
+
+    def generate_closed_loop(
+        self, intention: IntentionState, start: Inputs, *, num_steps: int, dtype: torch.dtype | None = None
+    ) -> Generated:
+        """Imagine `num_steps` percepts: each prediction is the next step's input; the observed start percept is the first.
+
+        Args:
+            dtype: precision of the layers' arithmetic; by default that of the weights.
+        """
+        return self._generate(intention, start, num_steps, lambda step, predicted: predicted, dtype)
+
+    def generate_open_loop(
+        self,
+        intention: IntentionState,
+        percepts: InputSequence,
+        *,
+        start: Inputs | None = None,
+        share: float = 1.0,
+        dtype: torch.dtype | None = None,
+    ) -> Generated:
         """Predict every percept (B, T, ...) from the sensed one before it.
 
         Args:
             percepts: sensed pixels (B, T, C, H, W) and codes (B, T, J, K).
+            start: the first input; by default the first of the percepts, for the robot rests before it starts.
             share: how much of the input is sensed, the rest is the network's own prediction; 0 is the closed loop.
+            dtype: precision of the layers' arithmetic; by default that of the weights.
         """
         pixels, codes = percepts
 
         def mix(step: int, predicted: Inputs) -> Inputs:
             return share * pixels[:, step] + (1 - share) * predicted[0], share * codes[:, step] + (1 - share) * predicted[1]
 
-        return self._generate(intention, (pixels[:, 0], codes[:, 0]), pixels.shape[1], mix)
+        feed = mix if share else lambda step, predicted: predicted
+        return self._generate(intention, start or (pixels[:, 0], codes[:, 0]), pixels.shape[1], feed, dtype)
 
-    def _generate(self, intention: IntentionState, start: Inputs, num_steps: int, feed: Callable[[int, Inputs], Inputs]) -> Generated:
+    def _generate(
+        self, intention: IntentionState, start: Inputs, num_steps: int, feed: Callable[[int, Inputs], Inputs], dtype: torch.dtype | None
+    ) -> Generated:
+        forward = self.at(dtype or self.pixel_bias.dtype)
         states, inputs = self.initial_states(intention), start
         all_pixels, all_log_codes = [], []
         for step in range(num_steps):
-            (pixels, log_codes), states = self.step(inputs, states)
+            (pixels, log_codes), states = forward(inputs, states)
             all_pixels.append(pixels)
             all_log_codes.append(log_codes)
             inputs = feed(step, (pixels, log_codes.exp()))
         return Generated(torch.stack(all_pixels, 1), torch.stack(all_log_codes, 1))
+
+
+def in_channels_last(values: Tensor) -> Tensor:
+    return values.contiguous(memory_format=torch.channels_last) if values.dim() == 4 else values
 
 
 def check_sizes(config: ModelConfig, sensors: Sensors) -> None:
@@ -322,6 +348,8 @@ def check_sizes(config: ModelConfig, sensors: Sensors) -> None:
     levels = config.num_levels
     if len(config.motor_units) != levels:
         raise ValueError(f"vision_channels has {levels} levels and motor_units {len(config.motor_units)}: give both the same number")
+    if min(config.vision_channels) < config.lateral_channels + 2:
+        raise ValueError(f"vision_channels {config.vision_channels} must all be lateral_channels ({config.lateral_channels}) + 2 or more")
     step = 2 ** (levels + 1)
     if sensors.height % step or sensors.width % step:
         raise ValueError(f"frames are {sensors.height}x{sensors.width}; a ladder of {levels} levels needs multiples of {step}")

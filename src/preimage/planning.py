@@ -20,7 +20,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from preimage.coding import to_frames, to_pixels
-from preimage.model import PDVMRNN, Generated, Inputs, IntentionState
+from preimage.intention import IntentionSpace, IntentionState
+from preimage.model import PDVMRNN, Generated, Inputs
 from preimage.prediction_error import VISUAL_WEIGHT, arrival_step, proprioceptive_error, sequence_error, visual_error
 from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.sequences import at_rate
@@ -72,47 +73,21 @@ class Recognition:
     stopped: Stopped
 
 
-class IntentionSpace:
-    """The directions in which the training intentions differ, as coordinates of unit variance; or all of them, untouched.
-
-    Args:
-        intentions: those of the training sequences.
-        dimensions: how many directions are kept; None keeps every value of the intention as its own coordinate, the paper's search.
-    """
-
-    def __init__(self, intentions: IntentionState, dimensions: int | None) -> None:
-        self.template, rows = intentions, intentions.flatten().detach()
-        self.basis: Tensor | None = None
-        if dimensions is None:
-            return
-        if len(rows) < 2:
-            raise ValueError("one training sequence spans no space of intentions: plan with dimensions None, or train on more")
-        self.mean = rows.mean(0)
-        _, sizes, directions = torch.linalg.svd(rows - self.mean, full_matrices=False)
-        kept = min(dimensions, len(rows) - 1)
-        self.deviations = (sizes / (len(rows) - 1) ** 0.5)[:kept].clamp(min=1e-6)
-        self.basis = directions[:kept]
-
-    def coordinates(self, intention: IntentionState) -> Float[Tensor, "B K"]:
-        rows = intention.flatten().detach()
-        return rows.clone() if self.basis is None else (rows - self.mean) @ self.basis.T / self.deviations
-
-    def intention(self, coordinates: Float[Tensor, "B K"]) -> IntentionState:
-        rows = coordinates if self.basis is None else self.mean + (coordinates * self.deviations) @ self.basis
-        return self.template.unflatten(rows)
-
-
 def regress_intention(
-    model: PDVMRNN, intention: IntentionState, error_of: Callable[[IntentionState], Float[Tensor, " B"]], *, config: PlanConfig
+    space: IntentionSpace,
+    coordinates: Float[Tensor, "B K"],
+    error_of: Callable[[IntentionState], Float[Tensor, " B"]],
+    *,
+    config: PlanConfig,
 ) -> Regression:
-    """Lower `error_of` from each of B intentions by gradient descent through the imagined sequence; the weights are not touched.
+    """Lower `error_of` from each of B places in the intention space by gradient descent through the imagined sequence.
 
-    The error that is returned is that of the intention that is returned: the last value of a loop belongs to the step before.
+    The weights are not touched. The error that is returned is that of the intention that is returned: the last value of a loop belongs
+    to the step before.
     """
-    space = IntentionSpace(model.intention_table.intentions(), config.dimensions)
-    point = space.coordinates(intention).requires_grad_()
+    point = coordinates.clone().requires_grad_()
     optimiser = torch.optim.Adam([point], lr=config.learning_rate)
-    best_point, best = point.detach().clone(), torch.full((len(point),), torch.inf)
+    best_point, best = coordinates.clone(), coordinates.new_full((len(point),), torch.inf)
     errors: list[Tensor] = []
     stopped = Stopped.ITERATIONS
     for iteration in range(config.iterations + 1):
@@ -129,7 +104,8 @@ def regress_intention(
         if iteration < config.iterations:
             (point.grad,) = torch.autograd.grad(objective.sum(), point)
             optimiser.step()
-    return Regression(space.intention(best_point), best, torch.stack(errors), stopped)
+    with torch.no_grad():
+        return Regression(space.intention(best_point), best, torch.stack(errors), stopped)
 
 
 def has_converged(errors: list[Tensor], window: int = 10, share: float = 0.002) -> bool:
@@ -142,8 +118,7 @@ def imagine(model: PDVMRNN, intention: IntentionState, start: Inputs, *, num_ste
     pixels, codes = start
     count = len(intention)
     start = pixels.expand(count, *pixels.shape[-3:]), codes.expand(count, *codes.shape[-2:])
-    with torch.autocast(pixels.device.type, torch.bfloat16, enabled=precision == "bfloat16"):
-        return model.generate_closed_loop(intention, start, num_steps=num_steps)
+    return model.generate_closed_loop(intention, start, num_steps=num_steps, dtype=getattr(torch, precision))
 
 
 def goal_error(generated: Generated, goal: Inputs, modalities: str) -> Float[Tensor, "B T"]:
@@ -225,8 +200,8 @@ def plan(
         generated = imagine(model, intention, from_start, num_steps=num_steps, precision=config.precision)
         return plan_error(generated, from_start, to_goal, config)[0]
 
-    guesses = model.intention_table.intentions()[first_guesses(library, to_goal, config)]
-    found = regress_intention(model, guesses, error_of, config=config)
+    space = model.intention_table.space(config.dimensions)
+    found = regress_intention(space, space.training[first_guesses(library, to_goal, config)], error_of, config=config)
     best = found.intention[found.error.argmin()[None]]
     with torch.no_grad():
         imagined = imagine(model, best, from_start, num_steps=num_steps, precision=config.precision)
@@ -266,10 +241,10 @@ def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfi
     def error_of(intention: IntentionState) -> Tensor:
         return against_sensed(imagine(model, intention, start, num_steps=num_steps, precision=config.precision))
 
-    table = model.intention_table.intentions()
+    space = model.intention_table.space(config.dimensions)
     with torch.no_grad():
-        guesses = error_of(table).argsort()[: config.candidates]
-    found = regress_intention(model, table[guesses], error_of, config=config)
+        guesses = error_of(model.intention_table.intentions()).argsort()[: config.candidates]
+    found = regress_intention(space, space.training[guesses], error_of, config=config)
     best = found.intention[found.error.argmin()[None]]
     with torch.no_grad():
         generated = imagine(model, best, start, num_steps=num_steps, precision=config.precision)

@@ -53,7 +53,7 @@ def find_run(name: str | Path) -> Path:
 
 def write_config(folder: Path, model: PDVMRNN, about: Mapping[str, Any]) -> None:
     """Write config.json: what builds the network again, and what is to be known about the run."""
-    num_sequences = len(model.intention_table.intentions())
+    num_sequences = len(model.intention_table)
     config = {"model": asdict(model.config), "sensors": asdict(model.sensors), "num_sequences": num_sequences, **about}
     with whole_file(folder / "config.json") as path:
         path.write_text(json.dumps(config, indent=2) + "\n")

@@ -12,7 +12,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,7 +21,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from preimage.coding import to_pixels
-from preimage.model import PDVMRNN, IntentionState, ModelConfig
+from preimage.intention import IntentionState, IntentionTable
+from preimage.model import PDVMRNN, ModelConfig
 from preimage.prediction_error import SequenceError, sequence_error
 from preimage.records import Demonstration
 from preimage.runs import write_config, write_shown, write_weights
@@ -122,6 +123,7 @@ def train(
         KeyboardInterrupt: the training was interrupted; the last update is saved.
     """
     model_config, config = model_config or ModelConfig.small(), config or TrainConfig()
+    model_config = replace(model_config, rate_hz=min(model_config.rate_hz, *(one.rate_hz for one in demonstrations)))
     sequences = pad(demonstrations, rate_hz=model_config.rate_hz, rest_steps=config.rest_steps)
     model = PDVMRNN(model_config, sensors_of(demonstrations), len(sequences), config.seed)
     start_from(model, sequences)
@@ -148,12 +150,11 @@ def start_from(model: PDVMRNN, sequences: Sequences) -> None:
     model.home_pixels.copy_(pixels[:, 0].mean(0))
     model.home_joints.copy_(sequences.joints[:, 0].mean(0))
     model.longest.fill_(sequences.frames.shape[1])
-    spread_intentions(model, codes.flatten(1))
+    spread_intentions(model.intention_table, codes.flatten(1))
 
 
-@torch.no_grad()
-def spread_intentions(model: PDVMRNN, features: Float[Tensor, "N F"], components: int = 16, deviation: float = 0.5) -> None:
-    """Start the intentions where alike sequences are neighbours: at their principal components, thrown onto the layers at random.
+def spread_intentions(table: IntentionTable, features: Float[Tensor, "N F"], components: int = 16) -> None:
+    """Start the intentions where alike sequences are neighbours: at their principal components.
 
     The paper starts them at random. From there, learning first has to find out what an intention could be good for; from here it takes
     about half the updates (docs/log.md).
@@ -163,10 +164,7 @@ def spread_intentions(model: PDVMRNN, features: Float[Tensor, "N F"], components
     components = min(components, len(features))
     weights = (sizes / sizes[0].clamp(min=1e-9)).clamp(min=0.15)[:components]  # small components count, or no two would differ
     scores = len(features) ** 0.5 * directions[:, :components] * weights
-    generator = torch.Generator().manual_seed(components)
-    for values in model.intention_table.parameters():
-        throw = torch.randn(components, values[0].numel(), generator=generator) * deviation / components**0.5
-        values.copy_((scores @ throw).view_as(values))
+    table.start_from(scores, torch.Generator().manual_seed(components))
 
 
 def optimiser_of(model: PDVMRNN, config: TrainConfig) -> torch.optim.Optimizer:
@@ -206,13 +204,13 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     began = time.perf_counter()
     model, optimiser = learner.model, learner.optimiser
     rows = batch_of(learner.update, len(sequences), config)
-    intention = model.intention_table.intentions()[rows]
-    error = error_of(model, with_noise(intention, learner.update, config.seed, model.config), sequences, rows, config)
-    charge = model.config.intention_cost * intention.flatten().square().sum(1)
+    generator = torch.Generator().manual_seed(config.seed * 1_000_003 + learner.update)
+    intention, charge = model.intention_table.draw(rows, generator)
+    error = error_of(model, intention, sequences, rows, config)
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
-    (error.total + charge).mean().backward()
+    (error.total + model.config.intention_cost * charge).mean().backward()
     norm = nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], config.gradient_norm)
     refuse_non_finite(learner, error, norm, run)
     optimiser.step()
@@ -225,19 +223,11 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     return told
 
 
-def with_noise(intention: IntentionState, update: int, seed: int, config: ModelConfig) -> IntentionState:
-    """The intention with Gaussian noise of the config's standard deviation, drawn from seed and update."""
-    if not config.intention_noise:
-        return intention
-    generator = torch.Generator().manual_seed(seed * 1_000_003 + update)
-    return intention.map(lambda values: values + config.intention_noise * torch.randn(values.shape, generator=generator))
-
-
 def error_of(model: PDVMRNN, intention: IntentionState, sequences: Sequences, rows: Tensor, config: TrainConfig) -> SequenceError:
     """Generate the rows of the table from their intentions and compare."""
     pixels, codes = to_pixels(sequences.frames[rows]), model.coding.encode(sequences.joints[rows])
-    with torch.autocast(pixels.device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
-        generated = model.generate_open_loop(intention, (pixels, codes), share=config.open_loop_share)
+    dtype = getattr(torch, config.precision)
+    generated = model.generate_open_loop(intention, (pixels, codes), share=config.open_loop_share, dtype=dtype)
     return sequence_error(generated, pixels, codes, sequences.mask[rows])
 
 

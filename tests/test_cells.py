@@ -1,0 +1,85 @@
+"""Laws of the cells: they are an LSTM's equations, and their gradients are those of plain autograd."""
+
+import pytest
+import torch
+from torch import nn
+
+from preimage.cells import LSTM, Conv, ConvLSTM, Linear, depth_to_space, space_to_depth
+
+
+def cell_of_torch(linear: Linear) -> nn.LSTMCell:
+    """torch's LSTM cell with the weights of ours: its gates are ordered input, forget, candidate, output, its input comes first."""
+    units = len(linear.weight) // 4
+    cell = nn.LSTMCell(linear.in_features - units, units).double()
+    order = torch.cat([torch.arange(units) + units * part for part in (0, 1, 3, 2)])
+    with torch.no_grad():
+        cell.weight_ih.copy_(linear.weight[order, :-units])
+        cell.weight_hh.copy_(linear.weight[order, -units:])
+        cell.bias_ih.copy_(linear.bias[order])
+        cell.bias_hh.zero_()
+    return cell
+
+
+def test_lstm_is_torchs_lstm_cell() -> None:
+    ours = LSTM(inputs=3, units=5).double()
+    inputs, hidden, cell = (torch.randn(4, size, dtype=torch.float64) for size in (3, 5, 5))
+    expected = cell_of_torch(ours.gates)(inputs, (hidden, cell))
+    torch.testing.assert_close(ours.at(torch.float64)([inputs], (hidden, cell)), expected)
+
+
+def test_a_1x1_conv_lstm_is_torchs_lstm_cell_at_every_place() -> None:
+    ours = ConvLSTM(inputs=3, channels=5, kernel=1).double()
+    inputs, hidden, cell = (torch.randn(2, size, 4, 6, dtype=torch.float64) for size in (3, 5, 5))
+    linear = Linear(8, 20).double()
+    with torch.no_grad():
+        linear.weight.copy_(ours.gates.weight[:, :, 0, 0])
+        linear.bias.copy_(ours.gates.bias)
+    places = [values.permute(0, 2, 3, 1).reshape(-1, values.shape[1]) for values in (inputs, hidden, cell)]
+    expected = cell_of_torch(linear)(places[0], (places[1], places[2]))
+    found = ours.at(torch.float64)([inputs], (hidden, cell))
+    for ours_of, expected_of in zip(found, expected, strict=True):
+        torch.testing.assert_close(ours_of.permute(0, 2, 3, 1).reshape(-1, 5), expected_of)
+
+
+def plain(layer: Linear | Conv, gates: torch.Tensor, cell: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    admit, keep, show, candidate = gates.chunk(4, dim=1)
+    cell = torch.sigmoid(keep) * cell + torch.sigmoid(admit) * torch.tanh(candidate)
+    return torch.sigmoid(show) * torch.tanh(cell), cell
+
+
+@pytest.mark.parametrize("spatial", [(), (4, 6)])
+def test_gradients_over_several_steps_equal_those_of_plain_autograd(spatial: tuple[int, ...]) -> None:
+    ours = (ConvLSTM(inputs=3, channels=5) if spatial else LSTM(inputs=3, units=5)).double()
+    inputs, hidden, cell = (torch.randn(2, size, *spatial, dtype=torch.float64, requires_grad=True) for size in (3, 5, 5))
+    leaves = [inputs, hidden, cell, ours.gates.weight, ours.gates.bias]
+
+    def run(fast: bool) -> list[torch.Tensor]:
+        step, state, total = ours.at(torch.float64), (hidden, cell), torch.zeros((), dtype=torch.float64)
+        for number in range(3):
+            fed = inputs * (number + 1)
+            if fast:
+                state = step([fed], state)
+            else:
+                gates = type(ours.gates).__base__.forward(ours.gates, torch.cat([fed, state[0]], dim=1))
+                state = plain(ours.gates, gates, state[1])
+            total = total + (state[0] * (number - 1.5)).sum() + state[1].square().sum()
+        return list(torch.autograd.grad(total, leaves))
+
+    for fast, slow in zip(run(fast=True), run(fast=False), strict=True):
+        torch.testing.assert_close(fast, slow)
+
+
+def test_weights_that_are_frozen_get_no_gradient_but_inputs_do() -> None:
+    layer = Conv(3, 4).requires_grad_(False)
+    inputs = torch.randn(1, 3, 4, 4, requires_grad=True)
+    (gradient,) = torch.autograd.grad(layer.at(torch.float32)(inputs).sum(), inputs)
+    assert gradient.abs().sum() > 0
+    assert layer.weight.grad is None
+
+
+def test_depth_to_space_undoes_space_to_depth_and_patches_stay_together() -> None:
+    maps = torch.arange(2 * 3 * 4 * 6.0).view(2, 3, 4, 6)
+    folded = space_to_depth(maps)
+    assert folded.shape == (2, 12, 2, 3)
+    assert set(folded[0, :, 0, 0].tolist()) == set(maps[0, :, :2, :2].flatten().tolist())
+    torch.testing.assert_close(depth_to_space(folded), maps)
