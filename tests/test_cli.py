@@ -1,6 +1,7 @@
 """The command line: every verb runs from end to end, and what a user can get wrong is told in one sentence."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -222,6 +223,43 @@ def test_nan_in_the_joints_of_a_goal(refused, run_folder, data, tmp_path):
     assert (code, sentence) == (2, "the goal's joints are not finite: [0.0, nan, 0.0, 0.0]")
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "least"),
+    [
+        ("updates", 0, "1 or more"),
+        ("batch-size", 0, "1 or more"),
+        ("warmup-updates", 0, "1 or more"),
+        ("checkpoint-every", 0, "1 or more"),
+        ("rest-steps", -1, "0 or more"),
+        ("seed", -1, "0 or more"),
+        ("learning-rate", "nan", "a number above 0"),
+        ("learning-rate", "inf", "a number above 0"),
+        ("intention-learning-rate", 0.0, "a number above 0"),
+        ("open-loop-share", 1.5, "a share between 0 and 1"),
+    ],
+)
+def test_settings_of_training_out_of_range(refused, data, tmp_path, option, value, least):
+    code, sentence = refused("train", data, "--out", tmp_path / "run", f"--{option}", value)
+    assert (code, sentence) == (2, f"--{option} is {value}: give {least}")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "least"),
+    [
+        ("candidates", 0, "1 or more"),
+        ("iterations", -1, "0 or more"),
+        ("horizon", 0, "1 or more"),
+        ("delay-penalty", 0.0, "a number above 0"),
+    ],
+)
+def test_settings_of_the_search_out_of_range(refused, run_folder, data, tmp_path, option, value, least):
+    code, sentence = refused("plan", run_folder, "--goal", f"{data}:0", "--out", tmp_path / "plan", f"--search.{option}", value)
+    assert (code, sentence) == (2, f"--search.{option} is {value}: give {least}")
+    code, sentence = refused("evaluate", run_folder, "--out", tmp_path / "result.json", f"--{option}", value)
+    assert (code, sentence) == (2, f"--{option} is {value}: give {least}")
+
+
 def test_goal_joints_that_would_not_be_looked_at(refused, run_folder, data, tmp_path):
     code, sentence = refused("plan", run_folder, "--goal", f"{data}:0", "--goal-joints", 0, 0, 0, 0, "--out", tmp_path / "plan")
     assert code == 2
@@ -251,9 +289,7 @@ def test_unknown_run_folder(refused, tmp_path, verb):
 )
 def test_a_run_with_a_broken_file(refused, run_folder, tmp_path, name, content):
     broken = tmp_path / "run"
-    broken.mkdir()
-    for path in run_folder.iterdir():
-        (broken / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(run_folder, broken)
     (broken / name).unlink()
     if content is not None:
         (broken / name).write_bytes(content)
@@ -278,6 +314,30 @@ def test_resume_with_other_data(refused, run_folder, other_data):
     code, sentence = refused("train", other_data(), "--out", run_folder, "--resume")
     assert code == 2
     assert "was trained on other demonstrations" in sentence
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("change", [{"train": {"nonsense": 1}}, {"train": None}, {"model": [1]}, {"data": None}, {"data": [1]}])
+def test_resume_of_a_run_with_settings_that_are_not_known(refused, run_folder, data, tmp_path, change):
+    broken = tmp_path / "run"
+    shutil.copytree(run_folder, broken)
+    config = json.loads((broken / "config.json").read_text())
+    (broken / "config.json").write_text(json.dumps(config | change))
+    code, sentence = refused("train", data, "--out", broken, "--resume")
+    assert code == 2
+    assert sentence.startswith(str(broken))
+
+
+@pytest.mark.parametrize("change", [{"model": [1]}, {"sensors": None}, {"num_sequences": "3"}])
+@pytest.mark.usefixtures("unchecked")
+def test_plan_with_a_run_whose_settings_are_not_known(refused, run_folder, data, tmp_path, change):
+    broken = tmp_path / "run"
+    shutil.copytree(run_folder, broken)
+    config = json.loads((broken / "config.json").read_text())
+    (broken / "config.json").write_text(json.dumps(config | change))
+    code, sentence = refused("plan", broken, "--goal", f"{data}:0", "--out", tmp_path / "plan")
+    assert code == 2
+    assert sentence.startswith(f"{broken} cannot be loaded (")
 
 
 def test_execute_without_a_plan(refused, tmp_path):

@@ -1,6 +1,7 @@
 """The verbs of the command line. Exit codes: 0 done, 1 the work failed or was interrupted, 2 the words are off."""
 
 import json
+import math
 import platform
 import shlex
 import subprocess
@@ -28,7 +29,7 @@ from preimage.plans import load_plan, save_plan
 from preimage.records import Percept
 from preimage.report import figure, film, learning_curve
 from preimage.robot import TASKS, Arm, record
-from preimage.runs import find_run, load_model, read_config, read_shown, tuples, write_card
+from preimage.runs import find_run, load_model, read_config, read_settings, read_shown, write_card
 from preimage.sources import find_percept
 from preimage.training import NonFinite, TrainConfig, train
 from preimage.training import Progress as Told
@@ -36,6 +37,12 @@ from preimage.whole_file import whole_file
 
 console = Console(stderr=True)
 SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.paper}
+LEAST = {
+    **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every", "candidates", "horizon", "dimensions"), 1),
+    **dict.fromkeys(("rest_steps", "seed", "iterations"), 0),
+}
+ABOVE_ZERO = "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty"
+SHARES = "final_share", "open_loop_share"
 
 
 def bar() -> Progress:
@@ -97,6 +104,7 @@ def train_(
         resume: go on with the run in `out`, with the sizes and settings it was started with.
         config: how the network learns.
     """
+    refuse_out_of_range(config)
     demonstrations = load(data)
     about = {
         "size": size,
@@ -105,10 +113,10 @@ def train_(
     }
     model_config = SIZES[size]()
     if resume:
-        started = read_config(find_run(out))
-        if started.get("data", {}).get("fingerprint") != about["data"]["fingerprint"]:
+        started = read_config(find_run(out)).get("data")
+        if not isinstance(started, dict) or started.get("fingerprint") != about["data"]["fingerprint"]:
             raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
-        model_config, config = tuples(ModelConfig, started["model"]), tuples(TrainConfig, started["train"])
+        model_config, config = read_settings(ModelConfig, out, "model"), read_settings(TrainConfig, out, "train")
     with bar() as progress:
         shown = progress.add_task("training", total=config.updates)
 
@@ -141,6 +149,7 @@ def plan_(
         goal_joints: joint angles of the goal (rad), for --search.goal joints or both.
         config: how the plan is searched for.
     """
+    refuse_out_of_range(config, prefix="search.")
     if goal_joints is not None and config.goal == "vision":
         raise ValueError("--goal-joints is not looked at while --search.goal is vision: give --search.goal joints, or both")
     model = load_model(run)
@@ -193,6 +202,7 @@ def evaluate_(
         config: how the plans are searched for.
     """
     known_task(task)
+    refuse_out_of_range(config)
     model, folder = load_model(run), find_run(run)
     about = {"task": task, "model": run} | {name: read_config(folder).get(name) for name in ("size", "num_demonstrations")}
     about |= {"seed": seed, "loop": "closed", "plan": asdict(config), "provenance": provenance()}
@@ -217,6 +227,19 @@ def summary(name: str, counted: dict[str, Any]) -> str:
     low, high = counted["interval"]
     rate = f"{counted['success']}/{counted['goals']} reached (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
     return f"{name:22s} {rate}, {counted['deviation_cm']['mean']:.2f} cm off on average"
+
+
+def refuse_out_of_range(config: TrainConfig | PlanConfig, *, prefix: str = "") -> None:
+    """Raises ValueError where a number is too small, or none, for the work to begin."""
+    given = {name: value for name, value in asdict(config).items() if value is not None}
+    for name, value in given.items():
+        option = f"--{prefix}{name.replace('_', '-')}"
+        if name in LEAST and not value >= LEAST[name]:
+            raise ValueError(f"{option} is {value}: give {LEAST[name]} or more")
+        if name in ABOVE_ZERO and not 0 < value < math.inf:
+            raise ValueError(f"{option} is {value}: give a number above 0")
+        if name in SHARES and not 0 <= value <= 1:
+            raise ValueError(f"{option} is {value}: give a share between 0 and 1")
 
 
 def known_task(task: str) -> None:
@@ -261,6 +284,8 @@ def main(arguments: list[str] | None = None) -> None:
         fail(str(error), code=2)
     except NonFinite as error:
         fail(str(error), code=1)
+    except FileExistsError as error:
+        fail(f"{error.filename} is there already and is no folder: give another place", code=1)
     except OSError as error:
         fail(f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error), code=1)
     except KeyboardInterrupt:

@@ -12,6 +12,7 @@ import zipfile
 import zlib
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ def save_plan(plan: Plan, folder: Path | str, *, scene: Scene | None = None) -> 
         about.write_text(json.dumps(facts, indent=2) + "\n")
 
 
-def percepts_of(plan: Plan) -> dict[str, np.ndarray]:
+def percepts_of(plan: Plan) -> dict[str, Any]:
     """The parts of start and goal that are there, by the names they have in plan.npz."""
     ends = (("start", plan.start), ("goal", plan.goal))
     parts = {f"{end}_{part}": getattr(percept, part) for end, percept in ends for part in ("frame", "joints")}

@@ -111,6 +111,19 @@ def read_config(folder: Path) -> dict[str, Any]:
     return config
 
 
+def read_settings(record: type[Record], folder: Path, key: str) -> Record:
+    """The settings that config.json holds under a key.
+
+    Raises:
+        ValueError: it holds none, or those of another version.
+    """
+    config = read_config(folder)
+    try:
+        return tuples(record, config[key])
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{folder}/config.json has no {key} settings that are known here ({error}): train again") from error
+
+
 def load_model(name: str | Path) -> PDVMRNN:
     """The trained model of a run folder or a bundled name, in float32, ready to plan.
 
@@ -125,7 +138,7 @@ def load_model(name: str | Path) -> PDVMRNN:
         model.load_state_dict({name: value.float() for name, value in tensors.items()})
     except FileNotFoundError as error:
         raise ValueError(f"{folder} has no model.safetensors yet: the training stopped before its first checkpoint") from error
-    except (KeyError, TypeError, SafetensorError, RuntimeError) as error:
+    except (KeyError, TypeError, AttributeError, SafetensorError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[0]
         raise ValueError(f"{folder} cannot be loaded ({reason}): its files are broken or from another version; train again") from error
     return model.requires_grad_(False).eval()
