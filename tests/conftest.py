@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from beartype import BeartypeConf, beartype
-from beartype.roar import BeartypeDecorHintPep673Exception
+from beartype.roar import BeartypeDecorHintPep673Exception, BeartypeDecorHintPep3119Exception
 from jaxtyping import config, install_import_hook
 
 LEFT_OUT = {"robot", "execution", "planning"}
@@ -16,10 +16,10 @@ ROOMS = {name for _, name, _ in pkgutil.iter_modules([str(Path(__file__).parents
 
 
 def checked(function: Callable) -> Callable:
-    """The function with its annotations enforced, except where it names `Self`, which cannot be resolved outside of the class."""
+    """The function with its annotations enforced, except where one names `Self` or a protocol that cannot be checked at runtime."""
     try:
         return beartype(conf=BeartypeConf(is_pep484_tower=True))(function)  # an int will do for a float
-    except BeartypeDecorHintPep673Exception:
+    except (BeartypeDecorHintPep673Exception, BeartypeDecorHintPep3119Exception):
         return function
 
 
