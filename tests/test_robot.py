@@ -95,7 +95,7 @@ def test_forward_kinematics_agrees_with_mujoco(arm):
 def test_polar_undoes_itself():
     positions = np.random.default_rng(0).uniform([-0.5, -0.5, 0], [1, 0.5, 1], size=(50, 3))
     np.testing.assert_allclose(from_polar(to_polar(positions)), positions, atol=1e-12)
-    np.testing.assert_allclose(to_polar(BASE_M + [0.0, 0.5, 0.2]), [0.5, np.pi / 2, 0.2], atol=1e-12)
+    np.testing.assert_allclose(to_polar(BASE_M + np.array([0.0, 0.5, 0.2])), [0.5, np.pi / 2, 0.2], atol=1e-12)
 
 
 def test_constants_agree_with_the_model(arm):
@@ -107,8 +107,8 @@ def test_constants_agree_with_the_model(arm):
 # Camera
 
 
-def test_frame_depends_on_the_state_alone(arm, demonstrations):
-    first, second = demonstrations[0].joints[[0, -1]]
+def test_frame_depends_on_the_state_alone(arm):
+    first, second = reaching_joints(np.array([[0.2, 0.1, 0.3], [0.5, -0.2, 0.03]]))
     arm.reset(first)
     before = arm.sense().frame
     arm.reset(second)
@@ -278,6 +278,15 @@ def test_the_gripper_is_sensed_as_it_was_commanded(handy):
     go(handy, (*OBJECT_M[:2], 0.2), 0.0, 1.0)
     assert handy.witness().object_m[2] == pytest.approx(0.17, abs=5 * MILLIMETRE)
     assert handy.witness().object_uprightness > 0.99
+
+
+def test_what_is_commanded_is_told_from_what_is_reached(arm):
+    """The table stops the hand, not its set points."""
+    press(arm, x_m=0.4, depth_m=0.05, seconds=0.5)
+    witness = arm.witness()
+    np.testing.assert_allclose(witness.commanded_m, [0.4, 0.1, -0.05], atol=1e-9)
+    assert witness.end_effector_m[2] > -5 * MILLIMETRE
+    assert (witness.gripper_m, witness.object_m, witness.object_uprightness) == (0.0, None, None)
 
 
 def test_the_object_rests_where_it_stands(handy):

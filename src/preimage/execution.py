@@ -92,12 +92,17 @@ def execute_open_loop(
         task: by default the one that the scene names, seen in the default frames.
 
     Raises:
-        ValueError: the scene is of a task that is not known, or the policy commands other joints than the task's.
+        ValueError: num_steps is too small, the scene is of a task that is not known, or the policy commands other joints than the task's.
     """
+    if num_steps < 1:
+        raise ValueError(f"num_steps is {num_steps}: ask the policy once or more")
     stage = _Stage(task or task_of(scene), arm, scene)
     limiter = _Limiter(limits_of(arm), np.array(scene.start_joints), 1 / rate_hz)
     for _ in range(num_steps):
-        stage.move(limiter.follow(policy(stage.percept)), 1 / rate_hz)
+        wanted = np.asarray(policy(stage.percept))
+        if wanted.shape != (len(arm.joint_names),):
+            raise ValueError(f"the policy commands joints of shape {wanted.shape}; the arm has {', '.join(arm.joint_names)}")
+        stage.move(limiter.follow(wanted), 1 / rate_hz)
     return stage.finish(limiter.command, limiter.sentences())
 
 

@@ -30,7 +30,16 @@ from jaxtyping import Float
 
 from preimage.records import Percept
 from preimage.robot.camera import Camera, Renderer
-from preimage.robot.kinematics import ACTIVE_JOINTS, HELD_JOINTS, HOME_M, JOINT_LIMITS, VELOCITY_LIMITS, grasping_joints, home_joints
+from preimage.robot.kinematics import (
+    ACTIVE_JOINTS,
+    HELD_JOINTS,
+    HOME_M,
+    JOINT_LIMITS,
+    VELOCITY_LIMITS,
+    forward_kinematics,
+    grasping_joints,
+    home_joints,
+)
 
 GRIPPER = "gripper"
 """Name of the fifth joint: how far each finger stands from the middle of the hand (m)."""
@@ -78,6 +87,8 @@ class Witness:
 
     end_effector_m: Float[np.ndarray, " 3"]
     """The point between the finger tips (m)."""
+    commanded_m: Float[np.ndarray, " 3"]
+    """Where that point would be if the arm stood at its set points: it does, unless something is in its way (m)."""
     gripper_m: float = 0.0
     """Commanded half-opening (m); 0 where the fingers cannot open."""
     object_m: Float[np.ndarray, " 3"] | None = None
@@ -172,11 +183,13 @@ class Arm:
 
     def witness(self) -> Witness:
         """What is true of the hand and the object now."""
-        gripper_m = float(self._data.actuator(GRIPPER).ctrl[0]) if self._has_gripper else 0.0
+        commands = self._data.ctrl[self._actuators]
+        commanded_m = forward_kinematics(commands[: len(ACTIVE_JOINTS)])
+        gripper_m = float(commands[-1]) if self._has_gripper else 0.0
         if not self._furniture.has_object:
-            return Witness(self.end_effector_m, gripper_m)
+            return Witness(self.end_effector_m, commanded_m, gripper_m)
         thing = self._data.body(OBJECT)
-        return Witness(self.end_effector_m, gripper_m, thing.xpos.copy(), float(thing.xmat[8]))
+        return Witness(self.end_effector_m, commanded_m, gripper_m, thing.xpos.copy(), float(thing.xmat[8]))
 
     @property
     def _has_gripper(self) -> bool:

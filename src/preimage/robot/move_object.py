@@ -118,7 +118,8 @@ class MoveObject:
 
     def is_in_reach(self, places_m: Float[np.ndarray, "*batch 2"]) -> Bool[np.ndarray, "*batch"]:
         """Whether the hand, tilted as for a grasp, can reach these places at every height it needs."""
-        joints = [grasping_joints(at_height(places_m, height_m)) for height_m in (GRASP_M, CARRY_M)]
+        heights_m = np.linspace(GRASP_M, CARRY_M, 7)
+        joints = [grasping_joints(at_height(places_m, height_m)) for height_m in heights_m]
         in_reach = ~np.isnan(joints).any(axis=(0, -1))
         return in_reach & is_inside_margin(places_m, self.furniture.table_size_m, LARGE_TABLE_MARGIN_M)
 
@@ -143,9 +144,9 @@ class MoveObject:
         The details, distances being horizontal:
 
         * `grasped`: the object was lifted.
-        * `grasp_error_m`: from the end effector, where the hand first closes, to where the object's centre was when the scene was laid
-          out. That is the error of the plan; where the object is by then depends on how the hand has touched it.
-        * `release_error_m`: from the end effector, where the hand then opens again, to the circle's centre.
+        * `grasp_error_m`: from the end effector, as commanded when the hand first closes, to the object's centre as laid out. That is the
+          error of the plan: a finger that comes down on the object pushes both aside, which would add to it or take from it.
+        * `release_error_m`: from the end effector, as commanded when the hand then opens again, to the circle's centre.
         * `place_error_m`: from the object's centre to the circle's centre at the end.
         * `upright`, `inside`, `released`: how the object ends. `inside_other`, where there are two circles: it ends in the wrong one.
         """
@@ -208,7 +209,7 @@ def _first(course: Sequence[Witness], start: int | None, *, is_open: bool) -> in
 
 
 def _hand_error_m(course: Sequence[Witness], moment: int | None, place_m: Sequence[float]) -> float:
-    return NEVER_M if moment is None else apart_m(course[moment].end_effector_m, place_m)
+    return NEVER_M if moment is None else apart_m(course[moment].commanded_m, place_m)
 
 
 def _lead(rng: np.random.Generator, scene: Scene) -> Float[np.ndarray, "T 5"]:
