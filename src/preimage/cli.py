@@ -41,7 +41,7 @@ LEAST = {
     **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every", "candidates", "horizon", "dimensions"), 1),
     **dict.fromkeys(("rest_steps", "seed", "iterations"), 0),
 }
-ABOVE_ZERO = "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty"
+ABOVE_ZERO = "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe"
 SHARES = "final_share", "open_loop_share"
 
 
