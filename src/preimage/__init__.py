@@ -9,9 +9,10 @@ from preimage.evaluation import evaluate, result_of, wilson_interval
 from preimage.execution import execute
 from preimage.intention import IntentionState
 from preimage.model import PDVMRNN, ModelConfig, Sensors
-from preimage.planning import PlanConfig, imagine_library, plan, recognise, regress_intention
+from preimage.planning import PlanConfig, imagine_library, plan, recognise
 from preimage.plans import load_plan, save_plan
 from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
+from preimage.regression import regress_intention
 from preimage.report import figure, film
 from preimage.robot import TASKS, Arm, Reach, record
 from preimage.runs import load_model

@@ -28,6 +28,10 @@ Shapes = Mapping[str, tuple[int, ...]]
 """Shape of each chosen layer's hidden state, without the batch."""
 
 
+TELLS_BELOW = 0.9
+"""A latent number whose mean deviation is above this says next to nothing about its sequence."""
+
+
 @dataclass(frozen=True, eq=False)
 class IntentionState:
     """Intentions of B sequences: per chosen layer what is added to its shared initial state, (B, 2, *layer), h first, then c."""
@@ -152,8 +156,14 @@ class LatentTable(nn.Module):
         self.mean[:, :kept] = scores[:, :kept]
 
     def space(self, dimensions: int | None) -> IntentionSpace:
-        """The numbers themselves; `dimensions` says nothing here, for they are few."""
-        return IntentionSpace(self.mean.detach(), self._onto)
+        """The numbers that tell something; where learning left a number as wide as its prior, it is noise and stays at the mean.
+
+        `dimensions` says nothing here, for the numbers are few.
+        """
+        told = self.log_deviation.exp().mean(0) < TELLS_BELOW
+        told = told if told.any() else torch.ones_like(told)
+        onto_states = self.onto_states.detach()[told]
+        return IntentionSpace(self.mean.detach()[:, told], lambda coordinates: unflatten(coordinates @ onto_states, self.shapes))
 
     def _onto(self, numbers: Float[Tensor, "B K"]) -> IntentionState:
         return unflatten(numbers @ self.onto_states, self.shapes)

@@ -1,16 +1,11 @@
-"""Error regression: find the intention whose imagined future contains the goal (sections II-C and II-D).
+"""Planning and recognition: find the intention whose imagined future contains the goal (sections II-C and II-D).
 
-The weights stay as they are; only the intention moves, down the gradient of a prediction error that is carried back through the whole
-imagined sequence. Recognition compares every step of a sequence that was sensed. Planning knows the two ends alone: what is sensed now
-and what is wanted. When the goal is reached is open, so each iteration looks for the step that shows it best, the arrival step.
-
-The error has many valleys. The search therefore starts from several intentions at once, those of the training sequences whose imagined
-percepts come nearest to the goal, and goes on with the best of them. It moves in the space that the training intentions span, in their
-standard deviations: there, what is seen and what is felt have been learned together.
+Recognition compares every step of a sequence that was sensed. Planning knows the two ends alone: what is sensed now and what is wanted.
+When the goal is reached is open, so each iteration looks for the step that shows it best, the arrival step. The search begins at the
+training intentions whose imagined percepts come nearest to the goal (`regression` goes on from there).
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,45 +15,34 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from preimage.coding import to_frames, to_pixels
-from preimage.intention import IntentionSpace, IntentionState
-from preimage.model import PDVMRNN, Generated, Inputs
-from preimage.prediction_error import VISUAL_WEIGHT, arrival_step, proprioceptive_error, sequence_error, visual_error
+from preimage.intention import IntentionState
+from preimage.model import PDVMRNN, Generated, Inputs, InputSequence
+from preimage.prediction_error import (
+    VISUAL_WEIGHT,
+    arrival_step,
+    proprioceptive_error,
+    proprioceptive_residuals,
+    sequence_error,
+    visual_error,
+    visual_residuals,
+)
 from preimage.records import Demonstration, Percept, Plan, Stopped
+from preimage.regression import RegressionConfig, regress_intention
 from preimage.sequences import at_rate
+
+Modalities = Literal["vision", "joints", "both"]
 
 
 @dataclass(frozen=True)
-class PlanConfig:
+class PlanConfig(RegressionConfig):
     """How a plan is searched for."""
 
-    goal: Literal["vision", "joints", "both"] = "vision"
+    goal: Modalities = "vision"
     """The modalities of the goal that are used; the rest of a goal percept is not looked at."""
-    candidates: int = 4
-    """Intentions regressed side by side."""
-    iterations: int = 40
-    """Steps of Adam on the intention."""
-    learning_rate: float = 0.1
-    """Adam's rate, in standard deviations of the training intentions."""
-    dimensions: int = 32
-    """Directions of the intention space that are searched, those in which the training intentions differ most."""
-    intention_cost: float = 0.0
-    """Charge for the squared distance from the mean training intention, in standard deviations."""
     horizon: int | None = None
     """Steps imagined, T_max; by default as many as the longest demonstration has."""
     delay_penalty: float = 1.01
     """Factor a step on the goal error when the arrival step is chosen (section II-D)."""
-    precision: Literal["bfloat16", "float32"] = "bfloat16"
-    """Precision of the layers' arithmetic while searching."""
-
-
-@dataclass(frozen=True, eq=False)
-class Regression:
-    """Where a regression of B intentions ended: for each the best iterate seen, with its own error."""
-
-    intention: IntentionState
-    error: Float[Tensor, " B"]
-    errors: Float[Tensor, "iterations B"]
-    stopped: Stopped
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,52 +57,57 @@ class Recognition:
     stopped: Stopped
 
 
-def regress_intention(
-    space: IntentionSpace,
-    coordinates: Float[Tensor, "B K"],
-    error_of: Callable[[IntentionState], Float[Tensor, " B"]],
-    *,
-    config: PlanConfig,
-) -> Regression:
-    """Lower `error_of` from each of B places in the intention space by gradient descent through the imagined sequence.
+@dataclass(frozen=True, eq=False)
+class ToGoal:
+    """Equation 2: the first percept as observed, the goal at the step that shows it best."""
 
-    The weights are not touched. The error that is returned is that of the intention that is returned: the last value of a loop belongs
-    to the step before.
-    """
-    point = coordinates.clone().requires_grad_()
-    optimiser = torch.optim.Adam([point], lr=config.learning_rate)
-    best_point, best = coordinates.clone(), coordinates.new_full((len(point),), torch.inf)
-    errors: list[Tensor] = []
-    stopped = Stopped.ITERATIONS
-    for iteration in range(config.iterations + 1):
-        with torch.enable_grad():
-            error = error_of(space.intention(point))
-            objective = error + config.intention_cost * point.square().sum(1)
-        found = error.detach() < best
-        best = torch.where(found, error.detach(), best)
-        best_point[found] = point.detach()[found]
-        errors.append(best.clone())
-        if has_converged(errors):
-            stopped = Stopped.CONVERGED
-            break
-        if iteration < config.iterations:
-            (point.grad,) = torch.autograd.grad(objective.sum(), point)
-            optimiser.step()
-    with torch.no_grad():
-        return Regression(space.intention(best_point), best, torch.stack(errors), stopped)
+    start: Inputs
+    goal: Inputs
+    modalities: Modalities
+    delay_penalty: float
+
+    def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
+        """The prediction error and the arrival step. The delay penalty picks the step; it does not enter the error."""
+        at_every_step = goal_error(generated, self.goal, self.modalities)
+        arrival = arrival_step(at_every_step, delay_penalty=self.delay_penalty)
+        return start_error(generated, self.start) + at_every_step.gather(1, arrival[:, None])[:, 0], arrival
+
+    def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
+        """The same error at given arrival steps, as residuals."""
+        pixels, log_codes = generated.pixels, generated.log_codes
+        rows = torch.arange(len(pixels), device=pixels.device)
+        parts = [visual_residuals(pixels[:, 0], self.start[0]), proprioceptive_residuals(log_codes[:, 0], self.start[1])]
+        if self.modalities != "joints":
+            parts.append(visual_residuals(pixels[rows, aims], self.goal[0]))
+        if self.modalities != "vision":
+            parts.append(proprioceptive_residuals(log_codes[rows, aims], self.goal[1]))
+        return torch.cat([part.flatten(1) for part in parts], dim=1)
 
 
-def has_converged(errors: list[Tensor], window: int = 10, share: float = 0.002) -> bool:
-    """Whether the lowest error of all candidates fell by less than a share of itself over the last window."""
-    return len(errors) > window and bool(errors[-1].min() > (1 - share) * errors[-1 - window].min())
+@dataclass(frozen=True, eq=False)
+class ToSequence:
+    """Equation 1: every percept of a sensed sequence."""
+
+    sensed: InputSequence
+
+    def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
+        """The mean prediction error of a step; there is nothing to aim at."""
+        pixels, codes = (part.expand(len(generated.pixels), *part.shape[1:]) for part in self.sensed)
+        error = sequence_error(generated, pixels, codes, pixels.new_ones(pixels.shape[:2])).total
+        return error, torch.zeros(len(error), dtype=torch.long, device=error.device)
+
+    def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
+        """The same error as residuals."""
+        pixels, codes = self.sensed
+        visual = visual_residuals(generated.pixels, pixels)
+        felt = proprioceptive_residuals(generated.log_codes, codes)
+        return torch.cat([part.flatten(1) for part in (visual, felt)], dim=1) / pixels.shape[1] ** 0.5
 
 
 def imagine(model: PDVMRNN, intention: IntentionState, start: Inputs, *, num_steps: int, precision: str) -> Generated:
     """Generate in closed loop from one start percept, at the precision asked for."""
-    pixels, codes = start
-    count = len(intention)
-    start = pixels.expand(count, *pixels.shape[-3:]), codes.expand(count, *codes.shape[-2:])
-    return model.generate_closed_loop(intention, start, num_steps=num_steps, dtype=getattr(torch, precision))
+    pixels, codes = (part.expand(len(intention), *part.shape) for part in start)
+    return model.generate_closed_loop(intention, (pixels, codes), num_steps=num_steps, dtype=getattr(torch, precision))
 
 
 def goal_error(generated: Generated, goal: Inputs, modalities: str) -> Float[Tensor, "B T"]:
@@ -137,13 +126,6 @@ def start_error(generated: Generated, start: Inputs) -> Float[Tensor, " B"]:
     pixels, codes = start
     visual = visual_error(generated.pixels[:, 0], pixels.expand_as(generated.pixels[:, 0]))
     return VISUAL_WEIGHT * visual + proprioceptive_error(generated.log_codes[:, 0], codes.expand_as(generated.log_codes[:, 0]))
-
-
-def plan_error(generated: Generated, start: Inputs, goal: Inputs, config: PlanConfig) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
-    """Equation 2 of the paper, and the arrival step it was taken at. The delay penalty picks the step; it does not enter the error."""
-    at_every_step = goal_error(generated, goal, config.goal)
-    arrival = arrival_step(at_every_step, delay_penalty=config.delay_penalty)
-    return start_error(generated, start) + at_every_step.gather(1, arrival[:, None])[:, 0], arrival
 
 
 def first_guesses(library: Generated, goal: Inputs, config: PlanConfig) -> Int[Tensor, " candidates"]:
@@ -191,21 +173,18 @@ def plan(
     began = time.perf_counter()
     config = config or PlanConfig()
     start = start or home(model)
-    from_start = as_inputs(model, start, name="start")
-    to_goal = goal_inputs(model, goal, config.goal)
+    objective = ToGoal(as_inputs(model, start, name="start"), goal_inputs(model, goal, config.goal), config.goal, config.delay_penalty)
     library = library or imagine_library(model, start, config=config)
-    num_steps = horizon_of(model, config)
 
-    def error_of(intention: IntentionState) -> Tensor:
-        generated = imagine(model, intention, from_start, num_steps=num_steps, precision=config.precision)
-        return plan_error(generated, from_start, to_goal, config)[0]
+    def from_start(intention: IntentionState) -> Generated:
+        return imagine(model, intention, objective.start, num_steps=horizon_of(model, config), precision=config.precision)
 
     space = model.intention_table.space(config.dimensions)
-    found = regress_intention(space, space.training[first_guesses(library, to_goal, config)], error_of, config=config)
-    best = found.intention[found.error.argmin()[None]]
+    guesses = space.training[first_guesses(library, objective.goal, config)]
+    found = regress_intention(space, guesses, from_start, objective, config=config)
     with torch.no_grad():
-        imagined = imagine(model, best, from_start, num_steps=num_steps, precision=config.precision)
-        error, arrival = plan_error(imagined, from_start, to_goal, config)
+        imagined = from_start(found.best)
+        error, arrival = objective.errors(imagined)
     return Plan(
         frames=to_frames(imagined.pixels[0]).numpy(),
         joints=model.coding.decode(imagined.log_codes[0].exp()).double().numpy(),
@@ -215,7 +194,7 @@ def plan(
         start=start,
         goal=goal,
         error=float(error),
-        errors=found.errors.min(1).values.double().numpy(),
+        errors=found.errors.double().numpy(),
         stopped=found.stopped,
         seconds=time.perf_counter() - began,
     )
@@ -231,25 +210,19 @@ def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfi
     sensed = at_rate(demonstration, model.config.rate_hz)
     percepts = [as_inputs(model, sensed[step], name=f"step {step}") for step in range(len(sensed))]
     pixels, codes = (torch.stack(parts)[None] for parts in zip(*percepts, strict=True))
-    start, num_steps = percepts[0], len(sensed)
+    objective = ToSequence((pixels, codes))
 
-    def against_sensed(generated: Generated) -> Tensor:
-        count = len(generated.pixels)
-        mask = pixels.new_ones(count, num_steps)
-        return sequence_error(generated, pixels.expand_as(generated.pixels), codes.expand_as(generated.log_codes), mask).total
-
-    def error_of(intention: IntentionState) -> Tensor:
-        return against_sensed(imagine(model, intention, start, num_steps=num_steps, precision=config.precision))
+    def from_start(intention: IntentionState) -> Generated:
+        return imagine(model, intention, percepts[0], num_steps=len(sensed), precision=config.precision)
 
     space = model.intention_table.space(config.dimensions)
     with torch.no_grad():
-        guesses = error_of(model.intention_table.intentions()).argsort()[: config.candidates]
-    found = regress_intention(space, space.training[guesses], error_of, config=config)
-    best = found.intention[found.error.argmin()[None]]
+        guesses = objective.errors(from_start(model.intention_table.intentions()))[0].argsort()[: config.candidates]
+    found = regress_intention(space, space.training[guesses], from_start, objective, config=config)
     with torch.no_grad():
-        generated = imagine(model, best, start, num_steps=num_steps, precision=config.precision)
-        error = float(against_sensed(generated))
-    return Recognition(best, generated, error, found.errors.min(1).values.double().numpy(), found.stopped)
+        generated = from_start(found.best)
+        error, _ = objective.errors(generated)
+    return Recognition(found.best, generated, float(error), found.errors.double().numpy(), found.stopped)
 
 
 def home(model: PDVMRNN) -> Percept:

@@ -34,6 +34,19 @@ def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Flo
     return (torch.special.xlogy(target, target) - target * log_predicted).sum((-1, -2))
 
 
+def visual_residuals(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "..."]:
+    """Numbers whose squares sum to the weighted visual error."""
+    scale = VISUAL_WEIGHT * REFERENCE_PIXELS / (target.shape[-3] * target.shape[-2] * target.shape[-1])
+    return scale**0.5 * (predicted - target)
+
+
+def proprioceptive_residuals(
+    log_predicted: Float[Tensor, "*batch J K"], target: Float[Tensor, "*#batch J K"]
+) -> Float[Tensor, "*batch J K"]:
+    """Numbers whose squares sum to the KL to second order: sqrt(2) times the difference of the roots (Hellinger)."""
+    return 2**0.5 * ((log_predicted / 2).exp() - target.sqrt())
+
+
 @dataclass(frozen=True, eq=False)
 class SequenceError:
     """Mean error of a percept, one value per sequence."""

@@ -1,0 +1,192 @@
+"""Error regression: move an intention until what is imagined from it has the least prediction error, the weights frozen.
+
+Two ways down. `descend` is the paper's: the error is carried back through the whole imagined sequence and Adam moves the intention.
+`leap` makes use of an intention of few numbers: it imagines each of them a little changed, learns from that how every pixel would
+move, and solves for the change that brings all pixels nearest to where they should be (Gauss-Newton, damped as by Levenberg and
+Marquardt). It needs no gradient and arrives in a handful of iterations.
+
+Several intentions are regressed side by side, for the error has many valleys; those that fall behind are dropped.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from preimage.intention import IntentionSpace, IntentionState
+from preimage.model import Generated
+from preimage.records import Stopped
+
+Imagine = Callable[[IntentionState], Generated]
+
+
+@dataclass(frozen=True)
+class RegressionConfig:
+    """How an intention is regressed."""
+
+    method: Literal["leap", "descend"] = "leap"
+    """leap: Gauss-Newton, for intentions of few numbers; descend: Adam on the gradient through time, the paper's."""
+    candidates: int = 4
+    """Intentions regressed side by side."""
+    iterations: int | None = None
+    """Iterations at the most; by default 8 leaps or 60 steps of Adam."""
+    learning_rate: float = 0.05
+    """Adam's rate, in units of the intention space; only where descending."""
+    probe: float = 0.15
+    """How far each number is changed to see what it does; only where leaping."""
+    dimensions: int = 32
+    """Directions that are searched of a free intention, those in which the training intentions differ most."""
+    intention_cost: float = 1e-3
+    """Charge for the squared size of the intention: unlikely ways to a goal cost more than likely ones."""
+    precision: Literal["bfloat16", "float32"] = "bfloat16"
+    """Precision of the layers' arithmetic while searching."""
+
+    @property
+    def most_iterations(self) -> int:
+        return self.iterations if self.iterations is not None else {"leap": 8, "descend": 60}[self.method]
+
+
+@runtime_checkable
+class Objective(Protocol):
+    """What is to become small: an error, and the same as a sum of squares at a fixed aim (the arrival step, of a plan)."""
+
+    def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
+        """The prediction error of each sequence, and the aim it was taken at."""
+        ...
+
+    def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
+        """Numbers whose squares sum to about the error, as it would be at these aims."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """Where a regression of B intentions ended: for each the best iterate seen, with its own error."""
+
+    intention: IntentionState
+    error: Float[Tensor, " B"]
+    errors: Float[Tensor, " iterations"]
+    """The lowest error of all candidates, iteration by iteration."""
+    stopped: Stopped
+
+    @property
+    def best(self) -> IntentionState:
+        return self.intention[self.error.argmin()[None]]
+
+
+def regress_intention(
+    space: IntentionSpace,
+    coordinates: Float[Tensor, "B K"],
+    imagine: Imagine,
+    objective: Objective,
+    *,
+    config: RegressionConfig,
+) -> Regression:
+    """Lower the error from each of B places in the intention space. The weights are not touched.
+
+    The error that is returned is that of the intention that is returned, the best seen: the last value of a loop belongs to the step
+    before.
+    """
+    search = leap if config.method == "leap" else descend
+    return search(space, coordinates, imagine, objective, config)
+
+
+def descend(
+    space: IntentionSpace, coordinates: Float[Tensor, "B K"], imagine: Imagine, objective: Objective, config: RegressionConfig
+) -> Regression:
+    """Gradient descent through the imagined sequence (Adam)."""
+    point = coordinates.clone().requires_grad_()
+    optimiser = torch.optim.Adam([point], lr=config.learning_rate)
+    best_point, best = coordinates.clone(), coordinates.new_full((len(point),), torch.inf)
+    lowest: list[Tensor] = []
+    stopped = Stopped.ITERATIONS
+    for iteration in range(config.most_iterations + 1):
+        with torch.enable_grad():
+            error, _ = objective.errors(imagine(space.intention(point)))
+            charged = error + config.intention_cost * point.square().sum(1)
+        found = error.detach() < best
+        best = torch.where(found, error.detach(), best)
+        best_point[found] = point.detach()[found]
+        lowest.append(best.min())
+        if len(lowest) > 10 and lowest[-1] > 0.998 * lowest[-11]:
+            stopped = Stopped.CONVERGED
+            break
+        if iteration < config.most_iterations:
+            (point.grad,) = torch.autograd.grad(charged.sum(), point)
+            optimiser.step()
+    with torch.no_grad():
+        return Regression(space.intention(best_point), best, torch.stack(lowest), stopped)
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Places in the intention space and what is imagined from them."""
+
+    points: Float[Tensor, "B K"]
+    error: Float[Tensor, " B"]
+    aims: Int[Tensor, " B"]
+    residuals: Float[Tensor, "B R"]
+
+    def __getitem__(self, rows: Tensor) -> "Places":
+        return Places(self.points[rows], self.error[rows], self.aims[rows], self.residuals[rows])
+
+
+DAMPINGS = (1e-3, 0.03, 1.0)
+"""Shares of the mean curvature that are added to it: how far each of the leaps goes that are tried side by side."""
+BEHIND = 1.5
+"""A candidate whose error is more than this many times the lowest is dropped."""
+
+
+@torch.no_grad()
+def leap(
+    space: IntentionSpace, coordinates: Float[Tensor, "B K"], imagine: Imagine, objective: Objective, config: RegressionConfig
+) -> Regression:
+    """Gauss-Newton on the residuals, their slopes found by imagining each coordinate a little changed."""
+
+    def visit(points: Tensor) -> Places:
+        generated = imagine(space.intention(points))
+        error, aims = objective.errors(generated)
+        return Places(points, error, aims, objective.residuals(generated, aims))
+
+    here = visit(coordinates)
+    lowest = [here.error.min()]
+    stopped = Stopped.ITERATIONS
+    for _ in range(config.most_iterations):
+        slopes = slopes_at(here, space, imagine, objective, config.probe)
+        tried = visit(leaps_from(here, slopes, config.intention_cost).flatten(0, 1))
+        here = better_of(here, tried)
+        here = here[here.error <= BEHIND * here.error.min()]
+        lowest.append(here.error.min())
+        if lowest[-1] > 0.99 * lowest[-2]:
+            stopped = Stopped.CONVERGED
+            break
+    return Regression(space.intention(here.points), here.error, torch.stack(lowest), stopped)
+
+
+def slopes_at(here: Places, space: IntentionSpace, imagine: Imagine, objective: Objective, probe: float) -> Float[Tensor, "B K R"]:
+    """How the residuals change with each coordinate, the aims held."""
+    count, dimensions = here.points.shape
+    probes = here.points[:, None] + probe * torch.eye(dimensions).to(here.points)  # (B, K, K)
+    changed = objective.residuals(imagine(space.intention(probes.flatten(0, 1))), here.aims.repeat_interleave(dimensions))
+    return (changed.view(count, dimensions, -1) - here.residuals[:, None]) / probe
+
+
+def leaps_from(here: Places, slopes: Float[Tensor, "B K R"], cost: float) -> Float[Tensor, "B L K"]:
+    """Where the linearised residuals are least, for each of the dampings."""
+    curvature = slopes @ slopes.mT  # (B, K, K)
+    downhill = (slopes @ here.residuals[:, :, None])[..., 0] + cost * here.points
+    identity = torch.eye(here.points.shape[1]).to(curvature)
+    mean = curvature.diagonal(dim1=1, dim2=2).mean(1)[:, None, None]
+    steps = [torch.linalg.solve(curvature + (cost + damping * mean + 1e-9) * identity, downhill) for damping in DAMPINGS]
+    return here.points[:, None] - torch.stack(steps, 1)
+
+
+def better_of(here: Places, tried: Places) -> Places:
+    """For each place the best of itself and the leaps tried from it."""
+    count = len(here.points)
+    both = Places(*(torch.cat([getattr(here, name), getattr(tried, name)]) for name in ("points", "error", "aims", "residuals")))
+    rows = torch.cat([torch.arange(count)[:, None], count + torch.arange(len(tried.points)).view(count, -1)], 1).to(here.aims.device)
+    return both[rows.gather(1, both.error[rows].argmin(1, keepdim=True))[:, 0]]

@@ -1,0 +1,161 @@
+"""Laws of error regression: gradients, weights untouched, the best iterate with its own error; plans of a model that learned a little."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from preimage.model import PDVMRNN, Generated, InputSequence, ModelConfig
+from preimage.planning import PlanConfig, ToGoal, ToSequence, as_inputs, imagine, plan, recognise
+from preimage.records import Demonstration, Percept, Stopped
+from preimage.regression import regress_intention
+from preimage.training import TrainConfig, train
+
+CONFIG = PlanConfig(precision="float32")
+DESCEND = replace(CONFIG, method="descend")
+
+
+def bar(far: float, num_steps: int = 6) -> Demonstration:
+    """A bright bar that moves with the first joint, as far as is said."""
+    joints = np.linspace(0, far, num_steps)[:, None] * np.array([1.0, -0.5])
+    columns, place = np.arange(16), 2 + joints[:, :1] * 10
+    brightness = np.exp(-(((columns - place) / 1.5) ** 2))  # (T, 16)
+    frames = np.repeat((brightness * 220).astype(np.uint8)[:, None, :, None], 16, axis=1)
+    return Demonstration(frames, joints, 5.0, ("a", "b"))
+
+
+@pytest.fixture(scope="module")
+def model() -> PDVMRNN:
+    shown = [bar(far) for far in np.linspace(0.2, 1, 6)]
+    config = TrainConfig(updates=200, batch_size=6, learning_rate=1e-2, rest_steps=3, precision="float32")
+    return train(shown, replace(ModelConfig.tiny(), intention_cost=1e-3), config=config)
+
+
+def tiny_double(dimensions: int | None = 4) -> PDVMRNN:
+    demonstrations = [bar(far) for far in (0.3, 0.6, 0.9)]
+    config = TrainConfig(updates=3, rest_steps=2, precision="float32")
+    model = train(demonstrations, replace(ModelConfig.tiny(), intention_dimensions=dimensions), config=config)
+    return model.double()
+
+
+def sensed_of(model: PDVMRNN, shown: Demonstration) -> InputSequence:
+    percepts = [as_inputs(model, shown[step], name="step") for step in range(len(shown))]
+    return torch.stack([one[0] for one in percepts])[None], torch.stack([one[1] for one in percepts])[None]
+
+
+def nearly(codes: torch.Tensor) -> torch.Tensor:
+    """Log codes a few percent off."""
+    off = torch.linspace(-0.05, 0.05, codes.shape[-1])
+    return (codes.log() + off).log_softmax(-1)
+
+
+def objective(model: PDVMRNN, modalities: str = "vision") -> ToGoal:
+    shown = bar(0.7)
+    return ToGoal(as_inputs(model, shown.first, name="start"), as_inputs(model, shown.last, name="goal"), modalities, 1.01)
+
+
+@pytest.mark.parametrize("dimensions", [4, None])
+@pytest.mark.parametrize("modalities", ["vision", "joints", "both"])
+def test_gradient_of_the_goal_error_agrees_with_finite_differences(dimensions: int | None, modalities: str) -> None:
+    model = tiny_double(dimensions)
+    goal, space = objective(model, modalities), model.intention_table.space(2)
+    point = space.training[:1].clone().requires_grad_()
+
+    def error(at: torch.Tensor) -> torch.Tensor:
+        return goal.errors(imagine(model, space.intention(at), goal.start, num_steps=6, precision="float64"))[0].sum()
+
+    (gradient,) = torch.autograd.grad(error(point), point)
+    for number in range(point.shape[1]):
+        nudge = torch.zeros_like(point)
+        nudge[0, number] = 1e-5
+        with torch.no_grad():
+            slope = (error(point + nudge) - error(point - nudge)) / 2e-5
+        assert gradient[0, number].item() == pytest.approx(slope.item(), rel=1e-5, abs=1e-8)
+
+
+@pytest.mark.parametrize("modalities", ["vision", "joints", "both"])
+def test_residuals_are_the_error_near_the_goal(model: PDVMRNN, modalities: str) -> None:
+    goal = objective(model, modalities)
+    (pixels, codes), (goal_pixels, goal_codes) = goal.start, goal.goal
+    near = Generated(torch.stack([pixels, goal_pixels])[None] + 0.01, nearly(torch.stack([codes, goal_codes]))[None])
+    error, arrival = goal.errors(near)
+    assert arrival.item() == 1
+    assert goal.residuals(near, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
+
+
+def test_residuals_of_a_sequence_are_its_error(model: PDVMRNN) -> None:
+    shown = bar(0.5)
+    sensed = sensed_of(model, shown)
+    goal = ToSequence(sensed)
+    near = Generated(sensed[0] + 0.01, nearly(sensed[1]))
+    error, aims = goal.errors(near)
+    assert goal.residuals(near, aims).square().sum().item() == pytest.approx(error.item(), rel=0.05)
+
+
+@pytest.mark.parametrize("config", [CONFIG, DESCEND], ids=["leap", "descend"])
+def test_a_plan_reaches_a_goal_between_the_demonstrations(model: PDVMRNN, config: PlanConfig) -> None:
+    shown = bar(0.55)
+    found = plan(model, start=shown.first, goal=Percept(frame=shown.last.frame), config=config)
+    assert np.abs(found.joints[found.arrival_step] - shown.joints[-1]).max() < 0.08
+    assert found.errors[-1] < found.errors[0]
+    assert found.error == pytest.approx(found.errors[-1], rel=1e-4)
+    assert (np.diff(found.errors) <= 0).all()
+    assert found.stopped in Stopped
+    assert found.rate_hz == 5.0
+
+
+@pytest.mark.parametrize("config", [CONFIG, DESCEND], ids=["leap", "descend"])
+def test_planning_leaves_the_weights_alone(model: PDVMRNN, config: PlanConfig) -> None:
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    plan(model, goal=bar(0.4).last, config=replace(config, iterations=2))
+    assert all(torch.equal(value, before[name]) for name, value in model.state_dict().items())
+
+
+def test_a_goal_of_joints_alone_brings_the_picture_along(model: PDVMRNN) -> None:
+    shown = bar(0.65)
+    found = plan(model, start=shown.first, goal=Percept(joints=shown.last.joints), config=replace(CONFIG, goal="joints"))
+    missed = np.abs(found.frames[found.arrival_step].astype(float) - shown.last.frame).mean()
+    ignored = np.abs(found.frames[0].astype(float) - shown.last.frame).mean()
+    assert missed < 0.4 * ignored
+
+
+def test_a_modality_that_is_left_out_is_not_looked_at(model: PDVMRNN) -> None:
+    shown = bar(0.65)
+    misleading = Percept(shown.last.frame, shown.first.joints)
+    true, misled = (plan(model, start=shown.first, goal=goal, config=CONFIG) for goal in (shown.last, misleading))
+    assert np.array_equal(true.joints, misled.joints)
+
+
+def test_the_best_of_several_candidates_is_returned() -> None:
+    model = tiny_double()
+    goal, space = objective(model), model.intention_table.space(None)
+
+    def from_start(intention):
+        return imagine(model, intention, goal.start, num_steps=6, precision="float64")
+
+    found = regress_intention(space, space.training, from_start, goal, config=replace(DESCEND, iterations=5))
+    again, _ = goal.errors(from_start(found.best))
+    assert again.item() == pytest.approx(found.error.min().item())
+
+
+def test_recognition_regenerates_a_new_sequence(model: PDVMRNN) -> None:
+    found = recognise(model, bar(0.55), config=CONFIG)
+    nothing = ToSequence(sensed_of(model, bar(0.55)))
+    start = as_inputs(model, bar(0.55).first, name="start")
+    prior = imagine(model, model.intention_table.prior_mean(1), start, num_steps=6, precision="float32")
+    assert found.error < 0.5 * nothing.errors(prior)[0].item()
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "words"),
+    [
+        (Percept(np.zeros((8, 16, 1), np.uint8), np.zeros(2)), None, r"start's frame is \(8, 16, 1\)"),
+        (Percept(np.zeros((16, 16, 1), np.uint8), np.zeros(3)), None, "start has 3 joints, the model was trained with 2"),
+        (Percept(np.zeros((16, 16, 1), np.uint8), np.array([0, np.nan])), None, "start's joints are not finite"),
+        (None, Percept(joints=np.zeros(2)), "goal has no frame"),
+    ],
+)
+def test_percepts_that_do_not_fit_are_named(model: PDVMRNN, start: Percept | None, goal: Percept | None, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        plan(model, start=start, goal=goal or bar(0.5).last, config=CONFIG)
