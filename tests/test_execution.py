@@ -40,6 +40,7 @@ def plan_of(demonstration, arrival_step=None):
         goal=Percept(demonstration.last.frame),
         error=0.0,
         errors=np.zeros(1),
+        intention=np.zeros(1),
         stopped=Stopped.CONVERGED,
         seconds=0.0,
     )
@@ -120,8 +121,8 @@ def test_execution_ends_at_the_arrival_step(arm, shown):
 def test_an_arm_that_stood_at_another_task_is_refurnished(shown):
     arm = Arm()
     for name in ("move-object", "reach", "two-points", "move-object"):
-        trial = execute(plan_of(shown[name], arrival_step=3), arm, shown[name].scene)
-        np.testing.assert_array_equal(trial.frames[:4], shown[name].frames[:4])
+        trial = execute(plan_of(shown[name], arrival_step=1), arm, shown[name].scene)
+        np.testing.assert_array_equal(trial.frames[0], shown[name].frames[0])
 
 
 def test_a_trial_can_be_seen_in_other_frames(arm, shown):
