@@ -379,6 +379,7 @@ cli.main(sys.argv[1:])
 """
 
 
+@pytest.mark.slow
 def test_a_full_disk_while_saving_loses_nothing(data, tmp_path):
     run = tmp_path / "run"
     words = "train", data, "--out", run, "--size", "tiny", "--updates", "3", "--checkpoint-every", "1"
