@@ -60,6 +60,7 @@ def evaluated(demonstrations) -> list[Evaluated]:
             goal=demonstration.last,
             error=2.5,
             errors=np.array([3.0, 2.5]),
+            intention=np.zeros(1),
             stopped=Stopped.CONVERGED,
             seconds=seconds,
         )

@@ -34,6 +34,7 @@ def make_plan(*, shape=(64, 64, 1), num_steps=12, arrival_step=8, joint_names=("
         goal=Percept(np.full(shape, 200, np.uint8)),
         error=12.5,
         errors=np.array([50.0, 20.0, 12.5]),
+        intention=np.zeros(1),
         stopped=Stopped.ITERATIONS,
         seconds=3.2,
     )

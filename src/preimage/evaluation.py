@@ -1,24 +1,33 @@
 """How often plans arrive: trials on goals that were never shown, counted with an interval, beside what luck would give.
 
-A success rate alone says little. Two baselines stand beside it: the arm that does nothing, and the arm that replays the demonstration
-whose last frame looks most like the goal.
+A success rate alone says little. Beside it stand the arm that does nothing, the arm that replays the demonstration whose last frame looks
+most like the goal, and the same model with no goal, its intention at the prior mean.
 
 >>> [round(100 * bound) for bound in wilson_interval(84, 100)]
 [76, 90]
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 
-from preimage.execution import execute, play
+from preimage.execution import execute, execute_open_loop, play
 from preimage.model import PDVMRNN
-from preimage.planning import PlanConfig, imagine_library, plan
-from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Trial
-from preimage.robot import Arm, Task, record
+from preimage.planning import PlanConfig, follow, horizon_of, imagine_library, imagine_without_goal, plan
+from preimage.records import Demonstration, Percept, Plan, Shown, Trial
+from preimage.robot import Arm, Task, record, succeeds_within
 from preimage.sequences import at_rate
+
+Loop = Literal["closed", "open", "recorded"]
+"""closed: the plan is executed blind; open: the next joints are predicted from what the robot senses; recorded: from what was recorded
+when the tutor showed the way to the same goal (the other reading of the paper's one-step prediction)."""
+PIXEL_M = 0.013
+"""A pixel of the paper's camera (m)."""
+Policies = Mapping[str, Callable[[Percept], Callable[[Percept], Float[np.ndarray, " J"]]]]
+"""Other ways to go to a goal: from the goal to a policy that is told what is sensed, step by step."""
 
 
 @dataclass(frozen=True)
@@ -38,19 +47,8 @@ class Row:
     """Wall time of planning."""
     stopped: str
     limited: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Count:
-    """k successes among n trials."""
-
-    success: int
-    goals: int
-    success_rate: float
-    interval: tuple[float, float]
-    """Wilson interval, 95 %."""
-    deviation_cm: dict[str, float]
-    """mean, median and max"""
+    details: dict[str, float]
+    """What else the judge saw."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +59,7 @@ class Evaluated:
     """What the tutor did; the planner saw its first percept and its last frame."""
     plan: Plan
     trial: Trial
-    do_nothing: Trial
-    nearest_demonstration: Trial
+    baselines: Mapping[str, Trial]
 
 
 def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
@@ -88,33 +85,60 @@ def evaluate(
     seed: int,
     shown: Sequence[Shown],
     config: PlanConfig | None = None,
+    loop: Loop = "closed",
+    policies: Policies | None = None,
     progress: Callable[[Evaluated], None] | None = None,
 ) -> list[Evaluated]:
-    """Plan to goals that a tutor reached, execute blind in physics and judge.
+    """Plan to goals that a tutor reached, execute in physics and judge.
 
     Args:
         goals: how many.
         seed: draws the goals; not the one the demonstrations were recorded with.
         shown: the demonstrations the model was trained on, for the baseline that replays one of them.
+        policies: more baselines, by name.
         progress: called after each goal.
     """
     config = config or PlanConfig()
     library = imagine_library(model, config=config)
     evaluated = []
     for demonstration in record(arm, task, count=goals, seed=seed):
-        assert demonstration.scene is not None
         found = plan(model, start=demonstration.first, goal=goal_of(demonstration, config), config=config, library=library)
-        one = Evaluated(
-            demonstration=demonstration,
-            plan=found,
-            trial=execute(found, arm, demonstration.scene),
-            do_nothing=play(demonstration.joints[:1], demonstration.rate_hz, arm, demonstration.scene),
-            nearest_demonstration=replay_nearest(shown, demonstration.last, arm, demonstration.scene),
-        )
-        evaluated.append(one)
+        trial = carry_out(model, found, arm, task, demonstration, loop)
+        baselines = dict(baselines_of(model, arm, task, demonstration, shown, policies or {}))
+        evaluated.append(Evaluated(demonstration, found, trial, baselines))
         if progress:
-            progress(one)
+            progress(evaluated[-1])
     return evaluated
+
+
+def carry_out(model: PDVMRNN, found: Plan, arm: Arm, task: Task, demonstration: Demonstration, loop: Loop) -> Trial:
+    """Execute a plan in one of the loops."""
+    assert demonstration.scene is not None
+    if loop == "closed":
+        return execute(found, arm, demonstration.scene, task=task)
+    policy = follow(model, found)
+    if loop == "recorded":
+        recorded = at_rate(demonstration, found.rate_hz)
+        joints = np.stack([recorded.joints[0], *(policy(recorded[step]) for step in range(len(recorded) - 1))])
+        return play(joints, found.rate_hz, arm, demonstration.scene, task=task)
+    num_steps = horizon_of(model, PlanConfig()) - 1
+    return execute_open_loop(policy, arm, demonstration.scene, num_steps=num_steps, rate_hz=found.rate_hz, task=task)
+
+
+def baselines_of(
+    model: PDVMRNN, arm: Arm, task: Task, demonstration: Demonstration, shown: Sequence[Shown], policies: Policies
+) -> Iterator[tuple[str, Trial]]:
+    """What would have been reached otherwise."""
+    scene = demonstration.scene
+    assert scene is not None
+    yield "do_nothing", play(demonstration.joints[:1], demonstration.rate_hz, arm, scene, task=task)
+    nearest = nearest_shown(shown, demonstration.last)
+    yield "nearest_demonstration", play(nearest.joints, nearest.rate_hz, arm, scene, task=task)
+    yield "prior_mean", execute(imagine_without_goal(model, demonstration.first), arm, scene, task=task)
+    for name, policy_to in policies.items():
+        num_steps = horizon_of(model, PlanConfig()) - 1
+        policy = policy_to(Percept(demonstration.last.frame))
+        yield name, execute_open_loop(policy, arm, scene, num_steps=num_steps, rate_hz=model.config.rate_hz, task=task)
 
 
 def goal_of(demonstration: Demonstration, config: PlanConfig) -> Percept:
@@ -123,13 +147,11 @@ def goal_of(demonstration: Demonstration, config: PlanConfig) -> Percept:
     return Percept(last.frame if config.goal != "joints" else None, last.joints if config.goal != "vision" else None)
 
 
-def replay_nearest(shown: Sequence[Shown], goal: Percept, arm: Arm, scene: Scene) -> Trial:
-    """Execute the demonstration whose last frame is nearest to the goal's, pixel by pixel."""
+def nearest_shown(shown: Sequence[Shown], goal: Percept) -> Shown:
+    """The demonstration whose last frame is nearest to the goal's, pixel by pixel."""
     assert goal.frame is not None
     wanted = goal.frame.astype(float)
-    distances = [np.square(one.last_frame - wanted).sum() for one in shown]
-    nearest = shown[int(np.argmin(distances))]
-    return play(nearest.joints, nearest.rate_hz, arm, scene)
+    return shown[int(np.argmin([np.square(one.last_frame - wanted).sum() for one in shown]))]
 
 
 def row_of(index: int, one: Evaluated) -> Row:
@@ -143,20 +165,43 @@ def row_of(index: int, one: Evaluated) -> Row:
         seconds=round(one.plan.seconds, 3),
         stopped=one.plan.stopped.name.lower(),
         limited=one.trial.limited,
+        details=dict(one.trial.details),
     )
 
 
-def count(trials: Sequence[Trial]) -> Count:
+def count(trials: Sequence[Trial]) -> dict[str, Any]:
+    """k successes among n trials with their interval, how far off they ended, and what the judge saw besides."""
     deviations = np.array([100 * trial.deviation_m for trial in trials])
-    successes = sum(trial.success for trial in trials)
     spread = {"mean": deviations.mean(), "median": np.median(deviations), "max": deviations.max()}
-    return Count(
-        success=successes,
-        goals=len(trials),
-        success_rate=successes / len(trials),
-        interval=wilson_interval(successes, len(trials)),
-        deviation_cm={name: round(float(value), 3) for name, value in spread.items()},
-    )
+    counted = share([trial.success for trial in trials])
+    counted["deviation_cm"] = {name: round(float(value), 3) for name, value in spread.items()}
+    if "touched" in trials[0].details:
+        counted["touched"] = share([bool(trial.details["touched"]) for trial in trials])
+    if "grasped" in trials[0].details:
+        counted |= grasps(trials)
+    return counted
+
+
+def share(successes: Sequence[bool]) -> dict[str, Any]:
+    """k of n with the Wilson interval."""
+    k, n = sum(successes), len(successes)
+    return {"success": k, "goals": n, "success_rate": k / n, "interval": wilson_interval(k, n)}
+
+
+def grasps(trials: Sequence[Trial]) -> dict[str, Any]:
+    """The rows of Table III: grasped at all, within a few pixels, and placed once grasped."""
+    grasped = [trial for trial in trials if trial.details["grasped"]]
+    rows: dict[str, Any] = {
+        "within_pixels": {
+            str(pixels): share([succeeds_within(trial.details, pixels * PIXEL_M) for trial in trials]) for pixels in (1, 2, 3)
+        },
+        "grasped": share([bool(trial.details["grasped"]) for trial in trials]),
+        "grasp_error_cm_median": round(100 * float(np.median([trial.details["grasp_error_m"] for trial in trials])), 3),
+    }
+    if grasped:
+        rows["placed_once_grasped"] = share([trial.success for trial in grasped])
+        rows["placed_once_grasped_cm_mean"] = round(100 * float(np.mean([trial.details["place_error_m"] for trial in grasped])), 3)
+    return rows
 
 
 def result_of(evaluated: Sequence[Evaluated], about: dict[str, Any]) -> dict[str, Any]:
@@ -167,16 +212,16 @@ def result_of(evaluated: Sequence[Evaluated], about: dict[str, Any]) -> dict[str
     """
     rows = [row_of(index, one) for index, one in enumerate(evaluated)]
     seconds = np.array([row.seconds for row in rows])
-    return (
-        about
-        | asdict(count([one.trial for one in evaluated]))
-        | {
-            "seconds_per_plan": round(float(seconds.mean()), 3),
-            "seconds_per_plan_max": round(float(seconds.max()), 3),
-            "baselines": {
-                "do_nothing": asdict(count([one.do_nothing for one in evaluated])),
-                "nearest_demonstration": asdict(count([one.nearest_demonstration for one in evaluated])),
-            },
-            "rows": [asdict(row) for row in rows],
-        }
-    )
+    names = list(evaluated[0].baselines)
+    return {
+        **about,
+        **count([one.trial for one in evaluated]),
+        "seconds_per_plan": round(float(seconds.mean()), 3),
+        "seconds_per_plan_max": round(float(seconds.max()), 3),
+        "steps": {
+            "plan": float(np.mean([row.arrival_step for row in rows])),
+            "demonstration": float(np.mean([row.demonstration_steps for row in rows])),
+        },
+        "baselines": {name: count([one.baselines[name] for one in evaluated]) for name in names},
+        "rows": [asdict(row) for row in rows],
+    }

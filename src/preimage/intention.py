@@ -28,10 +28,6 @@ Shapes = Mapping[str, tuple[int, ...]]
 """Shape of each chosen layer's hidden state, without the batch."""
 
 
-TELLS_BELOW = 0.9
-"""A latent number whose mean deviation is above this says next to nothing about its sequence."""
-
-
 @dataclass(frozen=True, eq=False)
 class IntentionState:
     """Intentions of B sequences: per chosen layer what is added to its shared initial state, (B, 2, *layer), h first, then c."""
@@ -102,17 +98,7 @@ class FreeTable(nn.Module):
 
     def space(self, dimensions: int | None) -> IntentionSpace:
         """The directions in which the training intentions differ most, in standard deviations; None: all values as they are."""
-        rows = self.rows.detach()
-        if dimensions is None:
-            return IntentionSpace(rows, lambda coordinates: unflatten(coordinates, self.shapes))
-        if len(rows) < 2:
-            raise ValueError("one training sequence spans no space of intentions: plan with dimensions None, or train on more")
-        mean = rows.mean(0)
-        _, sizes, directions = torch.linalg.svd(rows - mean, full_matrices=False)
-        kept = min(dimensions, len(rows) - 1)
-        scaled = (sizes / (len(rows) - 1) ** 0.5)[:kept, None].clamp(min=1e-6) * directions[:kept]  # (K, D)
-        training = (rows - mean) @ torch.linalg.pinv(scaled)
-        return IntentionSpace(training, lambda coordinates: unflatten(mean + coordinates @ scaled, self.shapes))
+        return space_of(self.rows.detach(), dimensions, lambda rows: unflatten(rows, self.shapes))
 
 
 class LatentTable(nn.Module):
@@ -156,20 +142,33 @@ class LatentTable(nn.Module):
         self.mean[:, :kept] = scores[:, :kept]
 
     def space(self, dimensions: int | None) -> IntentionSpace:
-        """The numbers that tell something; where learning left a number as wide as its prior, it is noise and stays at the mean.
-
-        `dimensions` says nothing here, for the numbers are few.
-        """
-        told = self.log_deviation.exp().mean(0) < TELLS_BELOW
-        told = told if told.any() else torch.ones_like(told)
-        onto_states = self.onto_states.detach()[told]
-        return IntentionSpace(self.mean.detach()[:, told], lambda coordinates: unflatten(coordinates @ onto_states, self.shapes))
+        """The directions in which the training intentions differ most, in standard deviations; None: the numbers as they are."""
+        return space_of(self.mean.detach(), dimensions, lambda numbers: unflatten(numbers @ self.onto_states.detach(), self.shapes))
 
     def _onto(self, numbers: Float[Tensor, "B K"]) -> IntentionState:
         return unflatten(numbers @ self.onto_states, self.shapes)
 
 
 IntentionTable = FreeTable | LatentTable
+
+
+def space_of(
+    rows: Float[Tensor, "N D"], dimensions: int | None, intention_of: Callable[[Float[Tensor, "B D"]], IntentionState]
+) -> IntentionSpace:
+    """The space whose coordinates are principal components of the rows, each of unit variance over them; None: the rows as they are.
+
+    Raises:
+        ValueError: one row alone spans no space.
+    """
+    if dimensions is None:
+        return IntentionSpace(rows, intention_of)
+    if len(rows) < 2:
+        raise ValueError("one training sequence spans no space of intentions: plan with dimensions None, or train on more")
+    mean = rows.mean(0)
+    left, sizes, directions = torch.linalg.svd(rows - mean, full_matrices=False)
+    kept, freedom = min(dimensions, len(rows) - 1, rows.shape[1]), (len(rows) - 1) ** 0.5
+    scaled = sizes[:kept, None] / freedom * directions[:kept]  # (K, D)
+    return IntentionSpace(left[:, :kept] * freedom, lambda coordinates: intention_of(mean + coordinates @ scaled))
 
 
 def throw(dimensions: int, size: int, generator: torch.Generator, deviation: float = 0.5) -> Float[Tensor, "K D"]:

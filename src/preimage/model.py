@@ -52,13 +52,13 @@ class ModelConfig:
     """Feature maps that carry one path to its counterpart; the paper does not say how many."""
     intention_layers: tuple[str, ...] = ("top", "vision3", "motor3")
     """Layers whose initial states are the intention; the others start from a learned state that all sequences share."""
-    intention_dimensions: int | None = 16
+    intention_dimensions: int | None = 8
     """Gaussian numbers that make an intention (`LatentTable`); None: the initial states themselves, as in the paper (`FreeTable`)."""
-    intention_cost: float = 0.003
+    intention_cost: float = 0.05
     """Charge while training for what an intention tells (a nat), or, where it is free, for its squared size: the walls of its room."""
     intention_noise: float = 0.0
     """Standard deviation of the noise on a free intention while training."""
-    rate_hz: float = 5.0
+    rate_hz: float = 2.5
     """Steps a second that the model runs at; recordings are brought to it, slower ones keep their rate."""
 
     @classmethod

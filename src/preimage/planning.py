@@ -6,16 +6,17 @@ training intentions whose imagined percepts come nearest to the goal (`regressio
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 
 from preimage.coding import to_frames, to_pixels
-from preimage.intention import IntentionState
+from preimage.intention import IntentionState, unflatten
 from preimage.model import PDVMRNN, Generated, Inputs, InputSequence
 from preimage.prediction_error import (
     VISUAL_WEIGHT,
@@ -83,6 +84,9 @@ class ToGoal:
             parts.append(proprioceptive_residuals(log_codes[rows, aims], self.goal[1]))
         return torch.cat([part.flatten(1) for part in parts], dim=1)
 
+    def steps_until(self, aims: Int[Tensor, " B"]) -> int:
+        return int(aims.max()) + 1
+
 
 @dataclass(frozen=True, eq=False)
 class ToSequence:
@@ -102,6 +106,9 @@ class ToSequence:
         visual = visual_residuals(generated.pixels, pixels)
         felt = proprioceptive_residuals(generated.log_codes, codes)
         return torch.cat([part.flatten(1) for part in (visual, felt)], dim=1) / pixels.shape[1] ** 0.5
+
+    def steps_until(self, aims: Int[Tensor, " B"]) -> None:
+        return None
 
 
 def imagine(model: PDVMRNN, intention: IntentionState, start: Inputs, *, num_steps: int, precision: str) -> Generated:
@@ -128,24 +135,74 @@ def start_error(generated: Generated, start: Inputs) -> Float[Tensor, " B"]:
     return VISUAL_WEIGHT * visual + proprioceptive_error(generated.log_codes[:, 0], codes.expand_as(generated.log_codes[:, 0]))
 
 
-def first_guesses(library: Generated, goal: Inputs, config: PlanConfig) -> Int[Tensor, " candidates"]:
-    """The training sequences to start from: in turn the one nearest to the goal when it ends, and the one nearest at any step."""
-    at_every_step = goal_error(library, goal, config.goal)
+@dataclass(frozen=True, eq=False)
+class Library:
+    """What the model imagines for each of its training intentions from one start: first guesses are looked up in it."""
+
+    start: Inputs
+    imagined: Generated
+
+    def begins_at(self, start: Inputs) -> bool:
+        """Whether a plan may begin at this start as well: nothing that can be seen or felt stands elsewhere."""
+        visual = visual_error(self.start[0], start[0])
+        felt = proprioceptive_error(self.start[1].log(), start[1])
+        return bool(visual < SAME_VISUAL) and bool(felt < SAME_PROPRIOCEPTIVE)
+
+
+SAME_VISUAL, SAME_PROPRIOCEPTIVE = 10.0, 0.1
+"""Percepts nearer than this to each other, in the errors of `prediction_error`, are alike enough to share a library."""
+
+
+def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: PlanConfig | None = None) -> Library:
+    """What the model imagines for each of its training intentions, from a start percept or from home."""
+    config = config or PlanConfig()
+    inputs = as_inputs(model, start or home(model), name="start")
+    with torch.no_grad():
+        table = model.intention_table.intentions()
+        return Library(inputs, imagine(model, table, inputs, num_steps=horizon_of(model, config), precision=config.precision))
+
+
+def first_guesses(library: Library, goal: Inputs, coordinates: Float[Tensor, "N K"], config: PlanConfig) -> Float[Tensor, "candidates K"]:
+    """Where to begin: blends of the training intentions that end like the goal, then in turn the one nearest to it at any step and when
+    it ends.
+    """
+    ends, wanted = end_features(library.imagined, goal, config.goal)
+    blends = [blend_towards(wanted, ends, coordinates, neighbours) for neighbours in BLENDED if neighbours <= len(ends)]
+    at_every_step = goal_error(library.imagined, goal, config.goal)
     steps = torch.arange(at_every_step.shape[1], device=at_every_step.device)
     at_any = (at_every_step * config.delay_penalty**steps).min(1).values.argsort().tolist()
     at_end = at_every_step[:, -1].argsort().tolist()
     in_turn = [row for pair in zip(at_any, at_end, strict=True) for row in pair]
-    return torch.tensor(list(dict.fromkeys(in_turn))[: config.candidates])
+    nearest = list(dict.fromkeys(in_turn))
+    return torch.cat([*(blend[None] for blend in blends), coordinates[nearest]])[: config.candidates]
 
 
-def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: PlanConfig | None = None) -> Generated:
-    """What the model imagines for each of its training intentions, from a start percept or from home: first guesses are found in it."""
-    config = config or PlanConfig()
-    start = start or home(model)
-    with torch.no_grad():
-        inputs = as_inputs(model, start, name="start")
-        table = model.intention_table.intentions()
-        return imagine(model, table, inputs, num_steps=horizon_of(model, config), precision=config.precision)
+BLENDED = (10, 6)
+"""How many training intentions are blended into a first guess."""
+COARSE = 8
+"""Pixels a side of the blocks whose mean greys are compared: so coarse that an arm beside the goal's still overlaps it."""
+
+
+def end_features(imagined: Generated, goal: Inputs, modalities: Modalities) -> tuple[Float[Tensor, "N F"], Float[Tensor, " F"]]:
+    """How the imagined sequences end and what is wanted, coarsely seen and felt."""
+    pixels = torch.cat([imagined.pixels[:, -1], goal[0][None]])
+    codes = torch.cat([imagined.log_codes[:, -1].exp(), goal[1][None]])
+    seen = VISUAL_WEIGHT**0.5 * COARSE * nn.functional.avg_pool2d(pixels, COARSE).flatten(1)
+    parts = {"vision": [seen], "joints": [codes.flatten(1)], "both": [seen, codes.flatten(1)]}[modalities]
+    features = torch.cat(parts, 1)
+    return features[:-1], features[-1]
+
+
+def blend_towards(
+    wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], coordinates: Float[Tensor, "N K"], neighbours: int
+) -> Float[Tensor, " K"]:
+    """The coordinates of the nearest features, weighted so that their features blend into what is wanted (Roweis and Saul 2000)."""
+    nearest = (features - wanted).square().sum(1).argsort()[:neighbours]
+    apart = features[nearest] - wanted
+    gram = apart @ apart.T
+    ridge = 0.01 * gram.trace() / neighbours + 1e-9
+    weights = torch.linalg.solve(gram + ridge * torch.eye(neighbours).to(gram), gram.new_ones(neighbours))
+    return weights / weights.sum() @ coordinates[nearest]
 
 
 def plan(
@@ -154,7 +211,7 @@ def plan(
     start: Percept | None = None,
     goal: Percept,
     config: PlanConfig | None = None,
-    library: Generated | None = None,
+    library: Library | None = None,
 ) -> Plan:
     """Imagine a way from the start percept to the goal (section II-D).
 
@@ -162,7 +219,7 @@ def plan(
         model: a trained network.
         start: what is sensed now, frame and joints; by default the mean first percept of the demonstrations.
         goal: what is wanted; of it only the modalities that `config.goal` names are looked at.
-        library: imagined training sequences, where they are at hand (`imagine_library`); else they are imagined from the start.
+        library: imagined training sequences (`imagine_library`), used where they begin as the plan does; else they are imagined anew.
 
     Returns:
         a plan, always; its error and its reason to have stopped say how far to trust it.
@@ -174,13 +231,14 @@ def plan(
     config = config or PlanConfig()
     start = start or home(model)
     objective = ToGoal(as_inputs(model, start, name="start"), goal_inputs(model, goal, config.goal), config.goal, config.delay_penalty)
-    library = library or imagine_library(model, start, config=config)
+    if library is None or not library.begins_at(objective.start):
+        library = imagine_library(model, start, config=config)
 
-    def from_start(intention: IntentionState) -> Generated:
-        return imagine(model, intention, objective.start, num_steps=horizon_of(model, config), precision=config.precision)
+    def from_start(intention: IntentionState, num_steps: int | None = None) -> Generated:
+        return imagine(model, intention, objective.start, num_steps=num_steps or horizon_of(model, config), precision=config.precision)
 
     space = model.intention_table.space(config.dimensions)
-    guesses = space.training[first_guesses(library, objective.goal, config)]
+    guesses = first_guesses(library, objective.goal, space.training, config)
     found = regress_intention(space, guesses, from_start, objective, config=config)
     with torch.no_grad():
         imagined = from_start(found.best)
@@ -197,7 +255,59 @@ def plan(
         errors=found.errors.double().numpy(),
         stopped=found.stopped,
         seconds=time.perf_counter() - began,
+        intention=found.best.flatten()[0].double().numpy(),
     )
+
+
+def imagine_without_goal(model: PDVMRNN, start: Percept, *, config: PlanConfig | None = None) -> Plan:
+    """What the model imagines when nothing is wanted: its intention at the prior mean. The baseline that shows what a goal buys."""
+    config = config or PlanConfig()
+    began = time.perf_counter()
+    intention = model.intention_table.prior_mean(1)
+    num_steps = horizon_of(model, config)
+    with torch.no_grad():
+        inputs = as_inputs(model, start, name="start")
+        imagined = imagine(model, intention, inputs, num_steps=num_steps, precision=config.precision)
+    return Plan(
+        frames=to_frames(imagined.pixels[0]).numpy(),
+        joints=model.coding.decode(imagined.log_codes[0].exp()).double().numpy(),
+        arrival_step=num_steps - 1,
+        rate_hz=model.config.rate_hz,
+        joint_names=model.sensors.joint_names,
+        start=start,
+        goal=Percept(),
+        error=float(start_error(imagined, inputs)),
+        errors=np.zeros(0),
+        stopped=Stopped.ITERATIONS,
+        seconds=time.perf_counter() - began,
+        intention=intention.flatten()[0].double().numpy(),
+    )
+
+
+def follow(model: PDVMRNN, plan: Plan) -> Callable[[Percept], Float[np.ndarray, " J"]]:
+    """A policy that predicts one step ahead from what is sensed, step by step, under the intention of a plan (open loop).
+
+    The paper calls it one-step prediction (section III-C): closed loop finds the intention, then the robot's own camera and joints go in
+    and the next joints come out.
+    """
+    forward = model.at(model.pixel_bias.dtype)
+    table = model.intention_table
+    intention = unflatten(torch.from_numpy(plan.intention).to(model.home_joints.dtype)[None], table.shapes)
+    states = [model.initial_states(intention)]
+
+    def predict(percept: Percept) -> Inputs:
+        pixels, codes = as_inputs(model, percept, name="percept")
+        with torch.no_grad():
+            predicted, states[0] = forward((pixels[None], codes[None]), states[0])
+        return predicted
+
+    predict(plan.start)  # output t is the prediction of percept t, so the first predicts the start itself
+
+    def next_joints(percept: Percept) -> Float[np.ndarray, " J"]:
+        _, log_codes = predict(percept)
+        return model.coding.decode(log_codes[0].exp()).double().numpy()
+
+    return next_joints
 
 
 def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfig | None = None) -> Recognition:
@@ -212,8 +322,8 @@ def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfi
     pixels, codes = (torch.stack(parts)[None] for parts in zip(*percepts, strict=True))
     objective = ToSequence((pixels, codes))
 
-    def from_start(intention: IntentionState) -> Generated:
-        return imagine(model, intention, percepts[0], num_steps=len(sensed), precision=config.precision)
+    def from_start(intention: IntentionState, num_steps: int | None = None) -> Generated:
+        return imagine(model, intention, percepts[0], num_steps=num_steps or len(sensed), precision=config.precision)
 
     space = model.intention_table.space(config.dimensions)
     with torch.no_grad():

@@ -19,6 +19,7 @@ import numpy as np
 from preimage.records import Percept, Plan, Scene, Stopped
 from preimage.whole_file import whole_file
 
+ARRAYS = ("frames", "joints", "errors", "intention")
 NUMBERS = ("arrival_step", "rate_hz", "error", "seconds")
 
 
@@ -32,7 +33,9 @@ def save_plan(plan: Plan, folder: Path | str, *, scene: Scene | None = None) -> 
     with contextlib.ExitStack() as files:  # every file is whole before the first of them moves into its place
         about, arrays, table = (files.enter_context(whole_file(folder / name)) for name in ("plan.json", "plan.npz", "joints.csv"))
         with arrays.open("wb") as file:
-            np.savez_compressed(file, frames=plan.frames, joints=plan.joints, errors=plan.errors, **percepts_of(plan))
+            np.savez_compressed(
+                file, frames=plan.frames, joints=plan.joints, errors=plan.errors, intention=plan.intention, **percepts_of(plan)
+            )
         with table.open("w", newline="") as file:
             rows = csv.writer(file)
             rows.writerow(["time_s", *plan.joint_names])
@@ -64,9 +67,7 @@ def load_plan(folder: Path | str) -> tuple[Plan, Scene | None]:
         with (folder / "plan.npz").open("rb") as file, np.load(file) as arrays:
             parts = dict(arrays)
         plan = Plan(
-            frames=parts["frames"],
-            joints=parts["joints"],
-            errors=parts["errors"],
+            **{name: parts[name] for name in ARRAYS},
             start=Percept(parts.get("start_frame"), parts.get("start_joints")),
             goal=Percept(parts.get("goal_frame"), parts.get("goal_joints")),
             joint_names=tuple(about["joint_names"]),

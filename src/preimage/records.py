@@ -113,6 +113,8 @@ class Plan:
     stopped: Stopped
     seconds: float
     """Wall time from the request to the plan."""
+    intention: Float[np.ndarray, " D"]
+    """What the sequence is generated from: `IntentionState.flatten` of it, for one-step prediction under the same intention."""
 
     def __len__(self) -> int:
         return len(self.frames)

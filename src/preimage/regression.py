@@ -3,7 +3,8 @@
 Two ways down. `descend` is the paper's: the error is carried back through the whole imagined sequence and Adam moves the intention.
 `leap` makes use of an intention of few numbers: it imagines each of them a little changed, learns from that how every pixel would
 move, and solves for the change that brings all pixels nearest to where they should be (Gauss-Newton, damped as by Levenberg and
-Marquardt). It needs no gradient and arrives in a handful of iterations.
+Marquardt). It needs no gradient and arrives in a handful of iterations; what a leap itself teaches about the slopes is used for the next
+(Broyden 1965), so that most iterations imagine three sequences and no more.
 
 Several intentions are regressed side by side, for the error has many valleys; those that fall behind are dropped.
 """
@@ -20,7 +21,8 @@ from preimage.intention import IntentionSpace, IntentionState
 from preimage.model import Generated
 from preimage.records import Stopped
 
-Imagine = Callable[[IntentionState], Generated]
+Imagine = Callable[[IntentionState, int | None], Generated]
+"""What follows from intentions, for so many steps; None: up to the horizon."""
 
 
 @dataclass(frozen=True)
@@ -32,21 +34,21 @@ class RegressionConfig:
     candidates: int = 4
     """Intentions regressed side by side."""
     iterations: int | None = None
-    """Iterations at the most; by default 8 leaps or 60 steps of Adam."""
+    """Iterations at the most; by default 12 leaps or 60 steps of Adam."""
     learning_rate: float = 0.05
     """Adam's rate, in units of the intention space; only where descending."""
     probe: float = 0.15
     """How far each number is changed to see what it does; only where leaping."""
     dimensions: int = 32
     """Directions that are searched of a free intention, those in which the training intentions differ most."""
-    intention_cost: float = 1e-3
+    intention_cost: float = 0.01
     """Charge for the squared size of the intention: unlikely ways to a goal cost more than likely ones."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
     """Precision of the layers' arithmetic while searching."""
 
     @property
     def most_iterations(self) -> int:
-        return self.iterations if self.iterations is not None else {"leap": 8, "descend": 60}[self.method]
+        return self.iterations if self.iterations is not None else {"leap": 12, "descend": 60}[self.method]
 
 
 @runtime_checkable
@@ -59,6 +61,10 @@ class Objective(Protocol):
 
     def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
         """Numbers whose squares sum to about the error, as it would be at these aims."""
+        ...
+
+    def steps_until(self, aims: Int[Tensor, " B"]) -> int | None:
+        """How many steps `residuals` looks at; None: all up to the horizon."""
         ...
 
 
@@ -105,7 +111,7 @@ def descend(
     stopped = Stopped.ITERATIONS
     for iteration in range(config.most_iterations + 1):
         with torch.enable_grad():
-            error, _ = objective.errors(imagine(space.intention(point)))
+            error, _ = objective.errors(imagine(space.intention(point), None))
             charged = error + config.intention_cost * point.square().sum(1)
         found = error.detach() < best
         best = torch.where(found, error.detach(), best)
@@ -136,8 +142,10 @@ class Places:
 
 DAMPINGS = (1e-3, 0.03, 1.0)
 """Shares of the mean curvature that are added to it: how far each of the leaps goes that are tried side by side."""
-BEHIND = 1.5
-"""A candidate whose error is more than this many times the lowest is dropped."""
+BEHIND = 1.3
+"""A candidate whose error is more than this many times the lowest after a leap is dropped."""
+ENOUGH = 0.02
+"""A leap that lowers the error by less than this share of it is not worth another from the same slopes."""
 
 
 @torch.no_grad()
@@ -147,31 +155,44 @@ def leap(
     """Gauss-Newton on the residuals, their slopes found by imagining each coordinate a little changed."""
 
     def visit(points: Tensor) -> Places:
-        generated = imagine(space.intention(points))
+        generated = imagine(space.intention(points), None)
         error, aims = objective.errors(generated)
         return Places(points, error, aims, objective.residuals(generated, aims))
 
-    here = visit(coordinates)
+    here, slopes = visit(coordinates), None
     lowest = [here.error.min()]
     stopped = Stopped.ITERATIONS
     for _ in range(config.most_iterations):
-        slopes = slopes_at(here, space, imagine, objective, config.probe)
+        fresh = slopes is None
+        slopes = slopes_at(here, space, imagine, objective, config.probe) if slopes is None else slopes
         tried = visit(leaps_from(here, slopes, config.intention_cost).flatten(0, 1))
-        here = better_of(here, tried)
-        here = here[here.error <= BEHIND * here.error.min()]
+        there = better_of(here, tried)
+        slopes = learn_from_leap(slopes, here, there)
+        near = there.error <= BEHIND * there.error.min()
+        here, slopes = there[near], slopes[near]
         lowest.append(here.error.min())
-        if lowest[-1] > 0.99 * lowest[-2]:
-            stopped = Stopped.CONVERGED
-            break
+        if lowest[-1] > (1 - ENOUGH) * lowest[-2]:
+            if fresh:
+                stopped = Stopped.CONVERGED
+                break
+            slopes = None
     return Regression(space.intention(here.points), here.error, torch.stack(lowest), stopped)
 
 
 def slopes_at(here: Places, space: IntentionSpace, imagine: Imagine, objective: Objective, probe: float) -> Float[Tensor, "B K R"]:
-    """How the residuals change with each coordinate, the aims held."""
+    """How the residuals change with each coordinate, the aims held. Nothing later than the last aim need be imagined."""
     count, dimensions = here.points.shape
     probes = here.points[:, None] + probe * torch.eye(dimensions).to(here.points)  # (B, K, K)
-    changed = objective.residuals(imagine(space.intention(probes.flatten(0, 1))), here.aims.repeat_interleave(dimensions))
-    return (changed.view(count, dimensions, -1) - here.residuals[:, None]) / probe
+    changed = imagine(space.intention(probes.flatten(0, 1)), objective.steps_until(here.aims))
+    residuals = objective.residuals(changed, here.aims.repeat_interleave(dimensions))
+    return (residuals.view(count, dimensions, -1) - here.residuals[:, None]) / probe
+
+
+def learn_from_leap(slopes: Float[Tensor, "B K R"], here: Places, there: Places) -> Float[Tensor, "B K R"]:
+    """The slopes that agree with what a leap did to the residuals, and change as little as possible (Broyden's rank-one update)."""
+    way = there.points - here.points
+    unexpected = there.residuals - here.residuals - (way[:, :, None] * slopes).sum(1)
+    return slopes + way[:, :, None] * unexpected[:, None] / way.square().sum(1).clamp(min=1e-9)[:, None, None]
 
 
 def leaps_from(here: Places, slopes: Float[Tensor, "B K R"], cost: float) -> Float[Tensor, "B L K"]:

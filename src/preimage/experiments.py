@@ -1,0 +1,222 @@
+"""The paper's section III, cell by cell: from nothing to results/*.json, ours beside the paper's.
+
+A cell is one training with the evaluations of its model. Its demonstrations, its run and its results are kept in the working folder,
+so that `reproduce` goes on where it was stopped. Demonstrations are recorded with seed 0; a cell of n uses the first n of them. Its
+seed draws the first weights, the batches and, as 1000 + seed, the test goals. Seeds from 500 to 999 are for tuning.
+"""
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from preimage.cloning import clone
+from preimage.dataset import fingerprint, load, save
+from preimage.evaluation import Loop, evaluate, result_of
+from preimage.model import PDVMRNN, ModelConfig
+from preimage.planning import PlanConfig, recognise
+from preimage.provenance import provenance
+from preimage.records import Demonstration
+from preimage.robot import TASKS, Arm, record
+from preimage.runs import load_model, read_shown, write_card
+from preimage.training import Progress, TrainConfig, train
+from preimage.whole_file import whole_file
+
+SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.paper}
+MOST_DEMONSTRATIONS = 100
+TEST_GOALS = {"reach": 40, "two-points": 40, "move-object": 50, "two-circles": 50}
+"""As many as the paper's; two circles are a row of our own."""
+TELL = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One training and what its model is asked for."""
+
+    task: str
+    num_demonstrations: int = MOST_DEMONSTRATIONS
+    seed: int = 0
+    size: str = "small"
+    loops: tuple[Loop, ...] = ("closed",)
+    updates: int = TrainConfig().updates
+    goals: int | None = None
+    """Test goals; by default as many as the paper's."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.task}-{self.num_demonstrations}-{self.size}-seed{self.seed}"
+
+
+PAPER: dict[str, dict[str, float]] = {
+    "reach-100": {"success_rate": 0.84, "deviation_cm": 2.6},
+    "reach-50": {"success_rate": 0.70, "deviation_cm": 3.2},
+    "reach-25": {"success_rate": 0.45, "deviation_cm": 5.3},
+    "two-points-100": {"success_rate": 0.75},
+    "move-object-100-closed": {"success_rate": 0.48, "within_1": 0.48, "within_2": 0.64, "within_3": 0.71, "placed_once_grasped": 0.94},
+    "move-object-100-open": {"success_rate": 0.74, "within_1": 0.74, "within_2": 0.88, "within_3": 0.93},
+}
+"""Tables II and III and section III-B of the paper."""
+
+
+def cells_of(table: str, size: str) -> list[Cell]:
+    """The cells of one of the paper's tables, or of all.
+
+    Raises:
+        ValueError: there is no such table.
+    """
+    tables = {
+        "table-2": [Cell("reach", count, seed, size) for count in (100, 50, 25) for seed in (0, 1, 2)],
+        "two-points": [Cell("two-points", seed=seed, size=size) for seed in (0, 1, 2)],
+        "table-3": [Cell("move-object", seed=seed, size=size, loops=("closed", "open", "recorded")) for seed in (0, 1, 2)],
+        "two-circles": [Cell("two-circles", size=size)],
+    }
+    if table == "all":
+        return [cell for cells in tables.values() for cell in cells]
+    if table not in tables:
+        raise ValueError(f"{table} is no table; known are {', '.join(tables)} and all")
+    return tables[table]
+
+
+def reproduce(cells: Sequence[Cell], *, work: Path, out: Path, tell: TELL, progress: Callable[[Progress], None] | None = None) -> None:
+    """Every cell's JSON is in `out`; what is there already is not made again."""
+    for cell in cells:
+        missing = [loop for loop in cell.loops if not (out / f"{cell.name}-{loop}.json").exists()]
+        if not missing:
+            tell(f"{cell.name}: done before")
+            continue
+        demonstrations = demonstrations_of(cell, work, tell)
+        model = model_of(cell, demonstrations, work, tell, progress)
+        for loop in missing:
+            write(out / f"{cell.name}-{loop}.json", evaluation_of(cell, model, demonstrations, work, loop, tell))
+        if cell.seed == 0:
+            write(out / f"{cell.name}-recognition.json", recognition_of(cell, model, demonstrations))
+            if cell.task == "reach":
+                write(out / f"{cell.name}-modalities.json", modalities_of(cell, model, work))
+
+
+def demonstrations_of(cell: Cell, work: Path, tell: TELL) -> list[Demonstration]:
+    """The cell's demonstrations, recorded where they are not there yet."""
+    folder = work / "data" / f"{cell.task}-{MOST_DEMONSTRATIONS}"
+    if not folder.exists():
+        tell(f"recording {MOST_DEMONSTRATIONS} demonstrations of {cell.task}")
+        save(record(Arm(), TASKS[cell.task], count=MOST_DEMONSTRATIONS, seed=0), folder, task=cell.task)
+    return load(folder)[: cell.num_demonstrations]
+
+
+def model_of(
+    cell: Cell, demonstrations: list[Demonstration], work: Path, tell: TELL, progress: Callable[[Progress], None] | None
+) -> PDVMRNN:
+    """The cell's trained model; a training that was stopped goes on."""
+    run = work / "runs" / cell.name
+    config = TrainConfig(seed=cell.seed, updates=cell.updates)
+    if (run / "README.md").exists():
+        return load_model(run)
+    tell(f"{cell.name}: training")
+    about = {
+        "size": cell.size,
+        "task": cell.task,
+        "num_demonstrations": len(demonstrations),
+        "data": {"name": f"{cell.task}-{MOST_DEMONSTRATIONS}", "fingerprint": fingerprint(demonstrations)},
+        "provenance": provenance(),
+    }
+    resume = (run / "resume.pt").exists()
+    train(demonstrations, SIZES[cell.size](), config=config, folder=run, resume=resume, about=about, progress=progress)
+    write_card(run)
+    return load_model(run)
+
+
+def evaluation_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration], work: Path, loop: Loop, tell: TELL) -> dict[str, Any]:
+    """Counts, baselines and rows of one cell in one loop."""
+    goals = cell.goals or TEST_GOALS[cell.task]
+    policy = clone(demonstrations, rate_hz=model.config.rate_hz, seed=cell.seed)
+    began, reached = time.perf_counter(), [0, 0]
+
+    def count(one: Any) -> None:
+        reached[0] += one.trial.success
+        reached[1] += 1
+        left = (time.perf_counter() - began) / reached[1] * (goals - reached[1])
+        tell(f"{cell.name} {loop}: {reached[0]}/{reached[1]} of {goals}, {left:.0f} s left")
+
+    run = work / "runs" / cell.name
+    evaluated = evaluate(
+        model, Arm(), TASKS[cell.task], goals=goals, seed=1000 + cell.seed, shown=read_shown(run), loop=loop,
+        policies={"behaviour_cloning": policy.policy_to}, progress=count,
+    )  # fmt: skip
+    about = asdict(cell) | {"model": cell.name, "seed": 1000 + cell.seed, "training_seed": cell.seed, "loop": loop}
+    about |= {"plan": asdict(PlanConfig()), "training_seconds": training_seconds(run), "provenance": provenance()}
+    return result_of(evaluated, about)
+
+
+def training_seconds(run: Path) -> float:
+    """Seconds of all updates of a run."""
+    return round(sum(json.loads(line)["seconds"] for line in (run / "log.jsonl").read_text().splitlines()), 1)
+
+
+def recognition_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration], count: int = 20) -> dict[str, Any]:
+    """Section II-C: sequences never shown are recognised from the whole of them, and regenerated in closed loop.
+
+    Their error stands beside that of training sequences recognised in the same way. The map shows where the intentions lie.
+    """
+    novel = record(Arm(), TASKS[cell.task], count=count, seed=2000 + cell.seed)
+    found = {"training": demonstrations[:count], "novel": novel}
+    recognised = {name: [recognise(model, one) for one in several] for name, several in found.items()}
+    places = {name: np.stack([one.intention.flatten()[0].numpy() for one in several]) for name, several in recognised.items()}
+    table = model.intention_table.intentions().flatten().detach().numpy()
+    flat = principal_plane(table)
+    return {
+        **asdict(cell),
+        "seed": 2000 + cell.seed,
+        "error": {name: [round(one.error, 4) for one in several] for name, several in recognised.items()},
+        "map": {"training": flat(table), "novel": flat(places["novel"])},
+        "goals_m": {"training": goals_of(demonstrations), "novel": goals_of(novel)},
+        "neighbours": rank_correlation(places["novel"], goals_of(novel)),
+        "provenance": provenance(),
+    }
+
+
+def principal_plane(rows: np.ndarray) -> Callable[[np.ndarray], list[list[float]]]:
+    """The map onto the two directions in which the rows differ most."""
+    mean = rows.mean(0)
+    directions = np.linalg.svd(rows - mean, full_matrices=False)[2][:2]
+    return lambda places: ((places - mean) @ directions.T).round(4).tolist()
+
+
+def goals_of(demonstrations: Sequence[Demonstration]) -> list[list[float]]:
+    """Where the tutor brought the hand or the object, on the table (m)."""
+    scenes = [one.scene for one in demonstrations if one.scene is not None]
+    return [list(next(iter(reversed(list(scene.positions_m.values()))))[:2]) for scene in scenes]
+
+
+def rank_correlation(intentions: np.ndarray, goals: Sequence[Sequence[float]]) -> float:
+    """Spearman's correlation of the distances between intentions with the distances between goals: 1 where neighbours stay neighbours."""
+
+    def distances(points: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(points[:, None] - points[None], axis=-1)[np.triu_indices(len(points), 1)]
+
+    ranks = [np.argsort(np.argsort(distances(np.asarray(points)))) for points in (intentions, goals)]
+    return round(float(np.corrcoef(*ranks)[0, 1]), 3)
+
+
+def modalities_of(cell: Cell, model: PDVMRNN, work: Path, goals: int = 20) -> dict[str, Any]:
+    """Section II-D: the goal given in vision only, joints only or both; the error of each modality at arrival, given or not."""
+    rows: dict[str, Any] = {}
+    shown = read_shown(work / "runs" / cell.name)
+    for modalities in ("vision", "joints", "both"):
+        config = replace(PlanConfig(), goal=modalities)
+        evaluated = evaluate(model, Arm(), TASKS[cell.task], goals=goals, seed=3000 + cell.seed, shown=shown, config=config)
+        arrived = [(one.plan, one.plan.arrival_step, one.demonstration.last) for one in evaluated]
+        counted = result_of(evaluated, {})
+        rows[modalities] = {name: counted[name] for name in ("success", "goals", "interval", "deviation_cm")} | {
+            "pixel_error_mean": round(float(np.mean([np.abs(p.frames[t].astype(float) - goal.frame).mean() for p, t, goal in arrived])), 3),
+            "joint_error_rad_mean": round(float(np.mean([np.abs(p.joints[t] - goal.joints).mean() for p, t, goal in arrived])), 4),
+        }
+    return asdict(cell) | {"seed": 3000 + cell.seed, "modalities": rows, "provenance": provenance()}
+
+
+def write(path: Path, result: Mapping[str, Any]) -> None:
+    with whole_file(path) as unfinished:
+        unfinished.write_text(json.dumps(result, indent=2) + "\n")
