@@ -19,7 +19,7 @@ from preimage import cli
 from preimage.dataset import save
 
 DATA_FILE = "data/chunk-000/file-000.parquet"
-QUICK = ["--search.iterations", "2", "--search.horizon", "4"]
+QUICK = ["--iterations", "2", "--horizon", "4"]
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def test_plan_to_an_image_file(run_folder, demonstrations, tmp_path):
 
 
 def test_plan_to_joint_angles(run_folder, data, tmp_path):
-    joints = ["--goal-joints", "0", "-0.5", "-2.5", "2", "--search.goal", "joints"]
+    joints = ["--goal-joints", "0", "-0.5", "-2.5", "2", "--modalities", "joints"]
     cli.main(["plan", str(run_folder), "--goal", f"{data}:0", *joints, "--out", str(tmp_path / "plan"), *QUICK])
     assert preimage.load_plan(tmp_path / "plan")[0].goal.joints.tolist() == [0, -0.5, -2.5, 2]
 
@@ -213,12 +213,12 @@ def test_five_joints_for_a_model_of_four(refused, run_folder, data, other_data, 
     five = other_data(num_joints=5)
     code, sentence = refused(*plan, "--goal", f"{data}:0", "--start", f"{five}:0")
     assert (code, sentence) == (2, "the start has 5 joints, the model was trained with 4")
-    joints = "--goal-joints", 0, 0, 0, 0, 0, "--search.goal", "joints"
+    joints = "--goal-joints", 0, 0, 0, 0, 0, "--modalities", "joints"
     assert refused(*plan, "--goal", f"{data}:0", *joints) == (2, "the goal has 5 joints, the model was trained with 4")
 
 
 def test_nan_in_the_joints_of_a_goal(refused, run_folder, data, tmp_path):
-    joints = "--goal-joints", 0, "nan", 0, 0, "--search.goal", "joints"
+    joints = "--goal-joints", 0, "nan", 0, 0, "--modalities", "joints"
     code, sentence = refused("plan", run_folder, "--goal", f"{data}:0", *joints, "--out", tmp_path / "plan")
     assert (code, sentence) == (2, "the goal's joints are not finite: [0.0, nan, 0.0, 0.0]")
 
@@ -254,8 +254,8 @@ def test_settings_of_training_out_of_range(refused, data, tmp_path, option, valu
     ],
 )
 def test_settings_of_the_search_out_of_range(refused, run_folder, data, tmp_path, option, value, least):
-    code, sentence = refused("plan", run_folder, "--goal", f"{data}:0", "--out", tmp_path / "plan", f"--search.{option}", value)
-    assert (code, sentence) == (2, f"--search.{option} is {value}: give {least}")
+    code, sentence = refused("plan", run_folder, "--goal", f"{data}:0", "--out", tmp_path / "plan", f"--{option}", value)
+    assert (code, sentence) == (2, f"--{option} is {value}: give {least}")
     code, sentence = refused("evaluate", run_folder, "--out", tmp_path / "result.json", f"--{option}", value)
     assert (code, sentence) == (2, f"--{option} is {value}: give {least}")
 
@@ -263,7 +263,7 @@ def test_settings_of_the_search_out_of_range(refused, run_folder, data, tmp_path
 def test_goal_joints_that_would_not_be_looked_at(refused, run_folder, data, tmp_path):
     code, sentence = refused("plan", run_folder, "--goal", f"{data}:0", "--goal-joints", 0, 0, 0, 0, "--out", tmp_path / "plan")
     assert code == 2
-    assert "--goal-joints is not looked at while --search.goal is vision" in sentence
+    assert "--goal-joints is not looked at while --modalities is vision" in sentence
 
 
 @pytest.mark.parametrize("verb", [["plan", "--goal", "x", "--out"], ["evaluate", "--out"]], ids=lambda words: words[0])

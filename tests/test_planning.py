@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from preimage.model import PDVMRNN, Generated, InputSequence, ModelConfig
-from preimage.planning import PlanConfig, ToGoal, ToSequence, as_inputs, imagine, plan, recognise
+from preimage.planning import PlanConfig, as_inputs, imagine, plan, recognise
+from preimage.prediction_error import ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Stopped
 from preimage.regression import regress_intention
 from preimage.training import TrainConfig, train
@@ -114,7 +115,7 @@ def test_planning_leaves_the_weights_alone(model: PDVMRNN, config: PlanConfig) -
 
 def test_a_goal_of_joints_alone_brings_the_picture_along(model: PDVMRNN) -> None:
     shown = bar(0.65)
-    found = plan(model, start=shown.first, goal=Percept(joints=shown.last.joints), config=replace(CONFIG, goal="joints"))
+    found = plan(model, start=shown.first, goal=Percept(joints=shown.last.joints), config=replace(CONFIG, modalities="joints"))
     missed = np.abs(found.frames[found.arrival_step].astype(float) - shown.last.frame).mean()
     ignored = np.abs(found.frames[0].astype(float) - shown.last.frame).mean()
     assert missed < 0.4 * ignored

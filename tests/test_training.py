@@ -37,10 +37,10 @@ def weights(model: torch.nn.Module) -> torch.Tensor:
 @pytest.mark.parametrize("dimensions", [4, None])
 def test_the_error_falls(dimensions: int | None) -> None:
     told: list[Progress] = []
-    config = replace(CONFIG, updates=25, learning_rate=1e-2)
+    config = replace(CONFIG, updates=60, learning_rate=1e-2)
     train(demonstrations(), replace(ModelConfig.tiny(), intention_dimensions=dimensions), config=config, progress=told.append)
     first, last = (np.mean([one.visual / 40 + one.proprioceptive for one in part]) for part in (told[:5], told[-5:]))
-    assert last < 0.8 * first
+    assert last < 0.75 * first
 
 
 def test_every_weight_gets_a_gradient_in_an_update() -> None:

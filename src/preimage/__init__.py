@@ -6,15 +6,15 @@ execution, and a film of both.
 
 from preimage.dataset import load, save
 from preimage.evaluation import evaluate, result_of, wilson_interval
-from preimage.execution import execute
+from preimage.execution import execute, execute_open_loop
 from preimage.intention import IntentionState
 from preimage.model import PDVMRNN, ModelConfig, Sensors
-from preimage.planning import PlanConfig, imagine_library, plan, recognise
+from preimage.planning import PlanConfig, follow, imagine_library, plan, recognise
 from preimage.plans import load_plan, save_plan
 from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
 from preimage.regression import regress_intention
 from preimage.report import figure, film
-from preimage.robot import TASKS, Arm, Reach, record
+from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
 from preimage.runs import load_model
 from preimage.training import TrainConfig, train
 
@@ -25,10 +25,12 @@ __all__ = [
     "Demonstration",
     "IntentionState",
     "ModelConfig",
+    "MoveObject",
     "Percept",
     "Plan",
     "PlanConfig",
     "Reach",
+    "ReachTwo",
     "Scene",
     "Sensors",
     "Shown",
@@ -37,8 +39,10 @@ __all__ = [
     "Trial",
     "evaluate",
     "execute",
+    "execute_open_loop",
     "figure",
     "film",
+    "follow",
     "imagine_library",
     "load",
     "load_model",

@@ -2,14 +2,9 @@
 
 import json
 import math
-import platform
-import shlex
-import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
-from datetime import UTC, datetime
-from importlib.metadata import version
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,14 +15,17 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from tyro.conf import Positional
 
 from preimage import demo as demonstration_of_it_all
+from preimage.bench import bench
 from preimage.dataset import fingerprint, load, save
-from preimage.evaluation import Evaluated, evaluate, result_of
+from preimage.evaluation import Evaluated, Loop, evaluate, result_of
 from preimage.execution import execute
+from preimage.experiments import SIZES, cells_of, reproduce
 from preimage.model import ModelConfig
 from preimage.planning import PlanConfig, plan
 from preimage.plans import load_plan, save_plan
+from preimage.provenance import provenance
 from preimage.records import Percept
-from preimage.report import figure, film, learning_curve
+from preimage.report import figure, film, learning_curve, write_results
 from preimage.robot import TASKS, Arm, record
 from preimage.runs import find_run, load_model, read_config, read_settings, read_shown, write_card
 from preimage.sources import find_percept
@@ -36,7 +34,6 @@ from preimage.training import Progress as Told
 from preimage.whole_file import whole_file
 
 console = Console(stderr=True)
-SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.paper}
 LEAST = {
     **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every", "candidates", "horizon", "dimensions"), 1),
     **dict.fromkeys(("rest_steps", "seed", "iterations"), 0),
@@ -93,6 +90,9 @@ def train_(
     out: Path,
     size: Literal["tiny", "small", "paper"] = "small",
     resume: bool = False,
+    rate_hz: float | None = None,
+    intention_dimensions: int | None = None,
+    intention_cost: float | None = None,
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008, frozen
 ) -> None:
     """Train a network on the demonstrations of a data set.
@@ -102,6 +102,9 @@ def train_(
         out: run folder to write.
         size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
         resume: go on with the run in `out`, with the sizes and settings it was started with.
+        rate_hz: steps a second that the model runs at, instead of the size's own.
+        intention_dimensions: numbers that make an intention, instead of the size's own; 0: the initial states themselves, as in the paper.
+        intention_cost: charge for what an intention tells, instead of the size's own: more where all can be seen at the start.
         config: how the network learns.
     """
     refuse_out_of_range(config)
@@ -111,7 +114,8 @@ def train_(
         "num_demonstrations": len(demonstrations),
         "data": {"name": data.name, "fingerprint": fingerprint(demonstrations)},
     }
-    model_config = SIZES[size]()
+    asked = {"rate_hz": rate_hz, "intention_dimensions": intention_dimensions, "intention_cost": intention_cost}
+    model_config = replace(SIZES[size](), **{name: value or None for name, value in asked.items() if value is not None})
     if resume:
         started = read_config(find_run(out)).get("data")
         if not isinstance(started, dict) or started.get("fingerprint") != about["data"]["fingerprint"]:
@@ -137,7 +141,7 @@ def plan_(
     out: Path,
     start: str | None = None,
     goal_joints: tuple[float, ...] | None = None,
-    config: Annotated[PlanConfig, tyro.conf.arg(name="search")] = PlanConfig(),  # noqa: B008, frozen
+    config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
 ) -> None:
     """Imagine a way to a goal.
 
@@ -146,12 +150,12 @@ def plan_(
         goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set.
         out: folder to write: the plan, a film and a figure of it, and the joints as CSV.
         start: where the start comes from, likewise; by default the mean start of the demonstrations.
-        goal_joints: joint angles of the goal (rad), for --search.goal joints or both.
+        goal_joints: joint angles of the goal (rad), for --modalities joints or both.
         config: how the plan is searched for.
     """
-    refuse_out_of_range(config, prefix="search.")
-    if goal_joints is not None and config.goal == "vision":
-        raise ValueError("--goal-joints is not looked at while --search.goal is vision: give --search.goal joints, or both")
+    refuse_out_of_range(config)
+    if goal_joints is not None and config.modalities == "vision":
+        raise ValueError("--goal-joints is not looked at while --modalities is vision: give --modalities joints, or both")
     model = load_model(run)
     wanted = find_percept(goal, model.sensors, default_step=-1)
     percept = wanted.percept if goal_joints is None else Percept(wanted.percept.frame, torch.tensor(goal_joints).double().numpy())
@@ -189,6 +193,7 @@ def evaluate_(
     task: str = "reach",
     goals: int = 100,
     seed: int = 1000,
+    loop: Loop = "closed",
     config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
 ) -> None:
     """Count how often plans to goals that were never shown arrive, beside what luck would give.
@@ -199,13 +204,14 @@ def evaluate_(
         task: name of the task.
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
+        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from what the tutor saw.
         config: how the plans are searched for.
     """
     known_task(task)
     refuse_out_of_range(config)
     model, folder = load_model(run), find_run(run)
     about = {"task": task, "model": run} | {name: read_config(folder).get(name) for name in ("size", "num_demonstrations")}
-    about |= {"seed": seed, "loop": "closed", "plan": asdict(config), "provenance": provenance()}
+    about |= {"seed": seed, "loop": loop, "plan": asdict(config), "provenance": provenance()}
     with bar() as progress:
         shown = progress.add_task("evaluating", total=goals)
         reached: list[bool] = []
@@ -214,7 +220,8 @@ def evaluate_(
             reached.append(one.trial.success)
             progress.update(shown, completed=len(reached), description=f"evaluating  {sum(reached)}/{len(reached)} reached")
 
-        evaluated = evaluate(model, Arm(), TASKS[task], goals=goals, seed=seed, shown=read_shown(folder), config=config, progress=tell)
+        shown_before = read_shown(folder)
+        evaluated = evaluate(model, Arm(), TASKS[task], goals=goals, seed=seed, shown=shown_before, config=config, loop=loop, progress=tell)
     result = result_of(evaluated, about)
     with whole_file(out) as path:
         path.write_text(json.dumps(result, indent=2) + "\n")
@@ -223,17 +230,69 @@ def evaluate_(
         print(summary(name, baseline))
 
 
+def reproduce_(
+    table: Positional[Literal["table-2", "two-points", "table-3", "two-circles", "all"]],
+    size: Literal["tiny", "small", "paper"] = "small",
+    seeds: int = 3,
+    work: Path = Path("runs/reproduce"),
+    out: Path = Path("results"),
+) -> None:
+    """Get the paper's numbers again, cell by cell; what was stopped goes on where it was.
+
+    Args:
+        table: which of the paper's tables, or all.
+        size: of the network.
+        seeds: how many of the three training seeds.
+        work: folder for demonstrations and runs.
+        out: folder for a JSON file a cell.
+    """
+    with bar() as progress:
+        shown = progress.add_task("training", total=None)
+
+        def learn(told: Told) -> None:
+            progress.update(shown, completed=told.update, total=told.updates)
+
+        chosen = [cell for cell in cells_of(table, size) if cell.seed < seeds]
+        reproduce(chosen, work=work, out=out, tell=lambda text: progress.update(shown, description=text), progress=learn)
+    print(f"{len(chosen)} cells are in {out}; `preimage report` makes the page of them")
+
+
+def report_(results: Path = Path("results"), out: Path = Path("docs/results.md")) -> None:
+    """Write the page of results from the JSON files.
+
+    Args:
+        results: folder of the JSON files.
+        out: page to write.
+    """
+    print(f"wrote {write_results(results, out)}")
+
+
+def bench_(out: Path = Path("results/bench.json"), device: Literal["cpu", "cuda"] = "cpu", quick: bool = False) -> None:
+    """Measure speed beside the machine's own limit.
+
+    Args:
+        out: JSON file to write.
+        device: what to measure.
+        quick: leave out the paper's size and the growth of planning time.
+    """
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("--device is cuda, and there is none on this machine: give cpu")
+    result = bench(device=device, quick=quick) | {"provenance": provenance()}
+    with whole_file(out) as path:
+        path.write_text(json.dumps(result, indent=2) + "\n")
+
+
 def summary(name: str, counted: dict[str, Any]) -> str:
     low, high = counted["interval"]
     rate = f"{counted['success']}/{counted['goals']} reached (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
     return f"{name:22s} {rate}, {counted['deviation_cm']['mean']:.2f} cm off on average"
 
 
-def refuse_out_of_range(config: TrainConfig | PlanConfig, *, prefix: str = "") -> None:
+def refuse_out_of_range(config: TrainConfig | PlanConfig) -> None:
     """Raises ValueError where a number is too small, or none, for the work to begin."""
     given = {name: value for name, value in asdict(config).items() if value is not None}
     for name, value in given.items():
-        option = f"--{prefix}{name.replace('_', '-')}"
+        option = f"--{name.replace('_', '-')}"
         if name in LEAST and not value >= LEAST[name]:
             raise ValueError(f"{option} is {value}: give {LEAST[name]} or more")
         if name in ABOVE_ZERO and not 0 < value < math.inf:
@@ -252,19 +311,6 @@ def task_of(demonstrations: list) -> str | None:
     return scene.task if scene else None
 
 
-def provenance() -> dict[str, Any]:
-    """What it takes to get a result again: the command, the commit, the versions, the machine, the day."""
-    here = Path(__file__).parent
-    described = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True, check=False)
-    return {
-        "command": shlex.join(["preimage", *sys.argv[1:]]),
-        "commit": described.stdout.strip() or None,
-        "versions": {name: version(name) for name in ("preimage", "torch", "mujoco", "numpy")} | {"python": platform.python_version()},
-        "machine": f"{platform.machine()}, {torch.get_num_threads()} threads",
-        "date": datetime.now(UTC).date().isoformat(),
-    }
-
-
 VERBS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "record": record_,
@@ -272,6 +318,9 @@ VERBS: dict[str, Callable[..., None]] = {
     "plan": plan_,
     "execute": execute_,
     "evaluate": evaluate_,
+    "reproduce": reproduce_,
+    "report": report_,
+    "bench": bench_,
 }
 
 

@@ -144,7 +144,7 @@ def baselines_of(
 def goal_of(demonstration: Demonstration, config: PlanConfig) -> Percept:
     """The last percept, without the modalities that the planner is not to see."""
     last = demonstration.last
-    return Percept(last.frame if config.goal != "joints" else None, last.joints if config.goal != "vision" else None)
+    return Percept(last.frame if config.modalities != "joints" else None, last.joints if config.modalities != "vision" else None)
 
 
 def nearest_shown(shown: Sequence[Shown], goal: Percept) -> Shown:

@@ -84,7 +84,7 @@ def cells_of(table: str, size: str) -> list[Cell]:
 def reproduce(cells: Sequence[Cell], *, work: Path, out: Path, tell: TELL, progress: Callable[[Progress], None] | None = None) -> None:
     """Every cell's JSON is in `out`; what is there already is not made again."""
     for cell in cells:
-        missing = [loop for loop in cell.loops if not (out / f"{cell.name}-{loop}.json").exists()]
+        missing: list[Loop] = [loop for loop in cell.loops if not (out / f"{cell.name}-{loop}.json").exists()]
         if not missing:
             tell(f"{cell.name}: done before")
             continue
@@ -198,7 +198,7 @@ def rank_correlation(intentions: np.ndarray, goals: Sequence[Sequence[float]]) -
         return np.linalg.norm(points[:, None] - points[None], axis=-1)[np.triu_indices(len(points), 1)]
 
     ranks = [np.argsort(np.argsort(distances(np.asarray(points)))) for points in (intentions, goals)]
-    return round(float(np.corrcoef(*ranks)[0, 1]), 3)
+    return round(float(np.corrcoef(np.stack(ranks))[0, 1]), 3)
 
 
 def modalities_of(cell: Cell, model: PDVMRNN, work: Path, goals: int = 20) -> dict[str, Any]:
@@ -206,7 +206,7 @@ def modalities_of(cell: Cell, model: PDVMRNN, work: Path, goals: int = 20) -> di
     rows: dict[str, Any] = {}
     shown = read_shown(work / "runs" / cell.name)
     for modalities in ("vision", "joints", "both"):
-        config = replace(PlanConfig(), goal=modalities)
+        config = replace(PlanConfig(), modalities=modalities)
         evaluated = evaluate(model, Arm(), TASKS[cell.task], goals=goals, seed=3000 + cell.seed, shown=shown, config=config)
         arrived = [(one.plan, one.plan.arrival_step, one.demonstration.last) for one in evaluated]
         counted = result_of(evaluated, {})

@@ -31,7 +31,10 @@ from preimage.intention import FreeTable, IntentionState, IntentionTable, Latent
 
 Inputs = tuple[Float[Tensor, "B C H W"], Float[Tensor, "B J K"]]
 """What enters the lowest level at one step: pixels in [-1, 1] and joint codes."""
+Sensed = tuple[Float[Tensor, "C H W"], Float[Tensor, "J K"]]
+"""One percept as the network takes it, without a batch."""
 InputSequence = tuple[Float[Tensor, "B T C H W"], Float[Tensor, "B T J K"]]
+"""The same for all steps of sequences."""
 NetworkStep = Callable[[Inputs, Mapping[str, State]], tuple[Inputs, dict[str, State]]]
 """From inputs and the states before to the predicted pixels and log codes, and the states after."""
 
@@ -52,9 +55,9 @@ class ModelConfig:
     """Feature maps that carry one path to its counterpart; the paper does not say how many."""
     intention_layers: tuple[str, ...] = ("top", "vision3", "motor3")
     """Layers whose initial states are the intention; the others start from a learned state that all sequences share."""
-    intention_dimensions: int | None = 8
+    intention_dimensions: int | None = 16
     """Gaussian numbers that make an intention (`LatentTable`); None: the initial states themselves, as in the paper (`FreeTable`)."""
-    intention_cost: float = 0.05
+    intention_cost: float = 0.01
     """Charge while training for what an intention tells (a nat), or, where it is free, for its squared size: the walls of its room."""
     intention_noise: float = 0.0
     """Standard deviation of the noise on a free intention while training."""

@@ -11,25 +11,29 @@ that the balance of the two modalities does not depend on the camera.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from preimage.model import Generated
+from preimage.model import Generated, InputSequence, Sensed
+
+Modalities = Literal["vision", "joints", "both"]
+"""What of a goal is used."""
 
 VISUAL_WEIGHT = 1 / 40
 """Weight of the visual error beside the joints' KL: chosen so that both fall together (docs/log.md); the paper does not say."""
 REFERENCE_PIXELS = 64 * 64
 
 
-def visual_error(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*batch C H W"]) -> Float[Tensor, "*batch"]:
+def visual_error(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "*batch"]:
     """Squared error summed over pixels, as of a frame of 64x64."""
     scale = REFERENCE_PIXELS / (target.shape[-3] * target.shape[-2] * target.shape[-1])
     return scale * (predicted - target).square().sum((-1, -2, -3))
 
 
-def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Float[Tensor, "*batch J K"]) -> Float[Tensor, "*batch"]:
+def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Float[Tensor, "*#batch J K"]) -> Float[Tensor, "*batch"]:
     """KL(target || predicted) of the codes, summed over joints (nats)."""
     return (torch.special.xlogy(target, target) - target * log_predicted).sum((-1, -2))
 
@@ -76,3 +80,71 @@ def arrival_step(goal_error: Float[Tensor, "B T"], *, delay_penalty: float) -> I
     """The step whose error times delay_penalty^t is smallest: T-hat of the paper. Where two are equal the earlier wins."""
     steps = torch.arange(goal_error.shape[1], device=goal_error.device)
     return (goal_error.detach() * delay_penalty**steps).argmin(1)
+
+
+@dataclass(frozen=True, eq=False)
+class ToGoal:
+    """Equation 2: the first percept as observed, the goal at the step that shows it best."""
+
+    start: Sensed
+    goal: Sensed
+    modalities: Modalities
+    delay_penalty: float
+
+    def start_error(self, generated: Generated) -> Float[Tensor, " B"]:
+        """The start's part: the first predicted percept against the one observed, both modalities."""
+        pixels, codes = self.start
+        visual = visual_error(generated.pixels[:, 0], pixels)
+        return VISUAL_WEIGHT * visual + proprioceptive_error(generated.log_codes[:, 0], codes)
+
+    def goal_error(self, generated: Generated) -> Float[Tensor, "B T"]:
+        """The goal's part at every imagined step: vision, joints or both."""
+        pixels, codes = self.goal
+        visual = VISUAL_WEIGHT * visual_error(generated.pixels, pixels)
+        felt = proprioceptive_error(generated.log_codes, codes)
+        return {"vision": visual, "joints": felt, "both": visual + felt}[self.modalities]
+
+    def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
+        """The prediction error and the arrival step. The delay penalty picks the step; it does not enter the error."""
+        at_every_step = self.goal_error(generated)
+        arrival = arrival_step(at_every_step, delay_penalty=self.delay_penalty)
+        return self.start_error(generated) + at_every_step.gather(1, arrival[:, None])[:, 0], arrival
+
+    def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
+        """The same error at given arrival steps, as residuals."""
+        pixels, log_codes = generated.pixels, generated.log_codes
+        rows = torch.arange(len(pixels), device=pixels.device)
+        parts = [visual_residuals(pixels[:, 0], self.start[0]), proprioceptive_residuals(log_codes[:, 0], self.start[1])]
+        if self.modalities != "joints":
+            parts.append(visual_residuals(pixels[rows, aims], self.goal[0]))
+        if self.modalities != "vision":
+            parts.append(proprioceptive_residuals(log_codes[rows, aims], self.goal[1]))
+        return torch.cat([part.flatten(1) for part in parts], dim=1)
+
+    def steps_until(self, aims: Int[Tensor, " B"]) -> int:
+        """Up to the latest arrival."""
+        return int(aims.max()) + 1
+
+
+@dataclass(frozen=True, eq=False)
+class ToSequence:
+    """Equation 1: every percept of a sensed sequence."""
+
+    sensed: InputSequence
+
+    def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
+        """The mean prediction error of a step; there is nothing to aim at."""
+        pixels, codes = (part.expand(len(generated.pixels), *part.shape[1:]) for part in self.sensed)
+        error = sequence_error(generated, pixels, codes, pixels.new_ones(pixels.shape[:2])).total
+        return error, torch.zeros(len(error), dtype=torch.long, device=error.device)
+
+    def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
+        """The same error as residuals."""
+        pixels, codes = self.sensed
+        visual = visual_residuals(generated.pixels, pixels)
+        felt = proprioceptive_residuals(generated.log_codes, codes)
+        return torch.cat([part.flatten(1) for part in (visual, felt)], dim=1) / pixels.shape[1] ** 0.5
+
+    def steps_until(self, aims: Int[Tensor, " B"]) -> None:
+        """All of them."""
+        return None

@@ -10,7 +10,7 @@ no model, no robot.
 >>> frames, joints = np.zeros((5, 8, 8, 1), np.uint8), np.zeros((5, 2))
 >>> start, goal = Percept(frames[0], joints[0]), Percept(frame=frames[3])
 >>> errors = np.array([2.0, 1.0])
->>> plan = Plan(frames, joints, 3, 10.0, ("yaw", "shoulder"), start, goal, 1.0, errors, Stopped.ITERATIONS, 0.5)
+>>> plan = Plan(frames, joints, 3, 10.0, ("yaw", "shoulder"), start, goal, 1.0, errors, Stopped.ITERATIONS, 0.5, np.zeros(1))
 >>> with tempfile.TemporaryDirectory() as folder:
 ...     film(plan, None, f"{folder}/reach.gif").name, figure(plan, None, f"{folder}/reach.png").name
 ('reach.gif', 'reach.png')
@@ -19,5 +19,6 @@ no model, no robot.
 from preimage.report.figures import figure, learning_curve
 from preimage.report.films import film
 from preimage.report.pages import Case, page
+from preimage.report.results import write_results
 
-__all__ = ["Case", "figure", "film", "learning_curve", "page"]
+__all__ = ["Case", "figure", "film", "learning_curve", "page", "write_results"]

@@ -1,0 +1,182 @@
+"""How fast it is, beside what the machine could do at most, measured in the same run.
+
+The limit is the faster of a large matrix product and the network's own largest convolution, at each precision. Training is told in
+sequence steps a second (one step of one sequence, forward and backward) and as a share of that limit; planning in seconds from the
+request to the plan.
+"""
+
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
+
+from preimage.model import PDVMRNN, ModelConfig, Sensors
+from preimage.planning import PlanConfig, imagine_library, plan
+from preimage.prediction_error import sequence_error
+from preimage.records import Percept
+
+ARM = Sensors(64, 64, 1, ("yaw", "shoulder", "elbow", "wrist"), (-1.0,) * 4, (1.0,) * 4)
+PEER = Sensors(48, 64, 1, ("pan", "tilt"), (-1.0,) * 2, (1.0,) * 2)
+"""Frames and joints of P-VMDNN."""
+PEER_CONFIG = ModelConfig(vision_channels=(8, 12, 16), motor_units=(24, 16, 8), top_channels=8, lateral_channels=2)
+"""About P-VMDNN's 42,000 weights."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """One amount of training work."""
+
+    config: ModelConfig
+    sensors: Sensors = ARM
+    batch: int = 10
+    steps: int = 16
+    dtype: torch.dtype = torch.bfloat16
+
+
+def bench(*, device: str = "cpu", quick: bool = False, tell: Callable[[str], None] = print) -> dict[str, Any]:
+    """All figures, ready for JSON.
+
+    Args:
+        device: cpu or cuda.
+        quick: leave out the paper's size and the growth of planning time.
+    """
+    place = torch.device(device)
+    limits = {name: limit_gflops(place, dtype) for name, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16))}
+    tell(f"limit: {limits['fp32']:.0f} GFLOP/s in float32, {limits['bf16']:.0f} in bfloat16")
+    result: dict[str, Any] = {"device": name_of(place), "threads": torch.get_num_threads(), "limit_gflops": limits}
+    works = {"small": Work(ModelConfig.small()), "peer": Work(PEER_CONFIG, PEER, batch=2, steps=80, dtype=torch.float32)}
+    if not quick:
+        works["paper"] = Work(ModelConfig.paper(), steps=60)
+    result["train"] = {name: timed_training(work, place, limits, tell, name) for name, work in works.items()}
+    result["plan"] = {"small": timed_planning(ModelConfig.small(), place, tell, "small")}
+    if not quick:
+        result["plan"]["paper"] = timed_planning(ModelConfig.paper(), place, tell, "paper", dimensions=8)
+        result["growth"] = growth(place, tell)
+    result["peak_memory_mb"] = peak_memory_mb(place)
+    return result
+
+
+def limit_gflops(place: torch.device, dtype: torch.dtype) -> float:
+    """The most that was seen: a product of 1024 x 1024 matrices, or a 3x3 convolution of the paper's second level."""
+    one, other = (torch.randn(1024, 1024, device=place).to(dtype) for _ in range(2))
+    maps = torch.randn(10, 160, 16, 16, device=place).to(dtype, memory_format=torch.channels_last)
+    weight = torch.randn(320, 160, 3, 3, device=place).to(dtype, memory_format=torch.channels_last)
+    product = 2 * 1024**3 / fastest(lambda: one @ other, place)
+    convolution = 2 * weight.numel() * maps.shape[0] * 256 / fastest(lambda: nn.functional.conv2d(maps, weight, padding=1), place)
+    return round(max(product, convolution) / 1e9, 1)
+
+
+def fastest(work: Callable[[], Any], place: torch.device, repeats: int = 15) -> float:
+    """Seconds of the fastest of some repeats, after two that are not counted."""
+    seconds = [seconds_of(work, place) for _ in range(repeats + 2)][2:]
+    return min(seconds)
+
+
+def seconds_of(work: Callable[[], Any], place: torch.device) -> float:
+    began = time.perf_counter()
+    work()
+    if place.type == "cuda":
+        torch.cuda.synchronize(place)
+    return time.perf_counter() - began
+
+
+def flops_of_step(model: PDVMRNN) -> int:
+    """Floating-point operations of one step of one sequence, forward; training takes three times as many.
+
+    Counted are matrix products and convolutions, a multiplication and an addition as two.
+    """
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        model.generate_closed_loop(model.intention_table.prior_mean(1), blank(model, 1), num_steps=1)
+    return counter.get_total_flops()
+
+
+def blank(model: PDVMRNN, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    pixels, codes = model.home_pixels, model.coding.encode(model.home_joints)
+    return pixels.expand(count, *pixels.shape), codes.expand(count, *codes.shape)
+
+
+def timed_training(work: Work, place: torch.device, limits: dict[str, float], tell: Callable[[str], None], name: str) -> dict[str, Any]:
+    """Forward and backward of a batch; the optimiser's step is left out, it is small."""
+    model = PDVMRNN(work.config, work.sensors, work.batch).to(place)
+    start, mask = blank(model, work.batch), torch.ones(work.batch, work.steps, device=place)
+    pixels, codes = (part[:, None].expand(work.batch, work.steps, *part.shape[1:]) for part in start)
+    generator = torch.Generator().manual_seed(0)
+
+    def once() -> None:
+        intention, charge = model.intention_table.draw(torch.arange(work.batch), generator)
+        generated = model.generate_closed_loop(intention, start, num_steps=work.steps, dtype=work.dtype)
+        (sequence_error(generated, pixels, codes, mask).total + charge).mean().backward()
+
+    cpu = time.process_time()
+    repeats = 3
+    seconds = fastest(once, place, repeats)
+    cpu_seconds = (time.process_time() - cpu) / (repeats + 2)
+    seq_steps = work.batch * work.steps
+    gflops = 3 * flops_of_step(model) * seq_steps / seconds / 1e9
+    limit = limits["bf16" if work.dtype == torch.bfloat16 else "fp32"]
+    told = {
+        "weights": sum(p.numel() for n, p in model.named_parameters() if not n.startswith("intention_table.")),
+        "batch": work.batch,
+        "steps": work.steps,
+        "precision": str(work.dtype).removeprefix("torch."),
+        "gflop_per_seq_step": round(3 * flops_of_step(model) / 1e9, 4),
+        "seq_steps_per_s": round(seq_steps / seconds, 1),
+        "seq_steps_per_cpu_s": round(seq_steps / cpu_seconds, 1),
+        "gflops": round(gflops, 1),
+        "fraction_of_limit": round(gflops / limit, 3),
+        "peak_memory_mb": peak_memory_mb(place),
+    }
+    tell(f"train {name}: {told['seq_steps_per_s']} sequence steps a second, {told['fraction_of_limit']:.0%} of the limit")
+    return told
+
+
+def timed_planning(
+    config: ModelConfig, place: torch.device, tell: Callable[[str], None], name: str, *, dimensions: int | None = None, **changes: Any
+) -> dict[str, Any]:
+    """A goal planned by an untrained network, which takes as long as by a trained one where all iterations are used."""
+    config = replace(config, intention_dimensions=dimensions) if dimensions else config
+    model = PDVMRNN(config, ARM, 100).to(place).requires_grad_(False)
+    model.longest.fill_(changes.pop("horizon", 16))
+    rng = np.random.default_rng(0)
+    goal = Percept(rng.integers(0, 255, (ARM.height, ARM.width, ARM.channels)).astype(np.uint8))
+    search = PlanConfig(**changes)
+    cold = seconds_of(lambda: plan(model, goal=goal, config=search), place)
+    library = imagine_library(model, config=search)
+    plans = [plan(model, goal=goal, config=search, library=library) for _ in range(3)]
+    best = min(plans, key=lambda one: one.seconds)
+    told = {
+        "cold_s": round(cold, 3),
+        "warm_s": round(best.seconds, 3),
+        "iterations": len(best.errors) - 1,
+        "ms_per_iteration": round(1000 * best.seconds / max(1, len(best.errors) - 1), 1),
+        "horizon": int(model.longest),
+        "candidates": search.candidates,
+    }
+    tell(f"plan {name}: {told['warm_s']} s, cold {told['cold_s']} s")
+    return told
+
+
+def growth(place: torch.device, tell: Callable[[str], None]) -> dict[str, dict[str, float]]:
+    """Seconds of a plan as horizon and candidates grow."""
+    small = ModelConfig.small()
+    return {
+        "horizon": {str(n): timed_planning(small, place, tell, f"horizon {n}", horizon=n)["ms_per_iteration"] for n in (8, 16, 32)},
+        "candidates": {str(n): timed_planning(small, place, tell, f"candidates {n}", candidates=n)["ms_per_iteration"] for n in (1, 2, 4)},
+    }
+
+
+def name_of(place: torch.device) -> str:
+    return torch.cuda.get_device_name(place) if place.type == "cuda" else "cpu"
+
+
+def peak_memory_mb(place: torch.device) -> float:
+    """The most memory this process, or its device, has held."""
+    if place.type == "cuda":
+        return round(torch.cuda.max_memory_allocated(place) / 2**20, 1)
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)

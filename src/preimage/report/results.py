@@ -1,0 +1,158 @@
+"""docs/results.md from results/*.json: the tables of the paper, ours beside it, each cell with its command, seeds and seconds."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from preimage.whole_file import whole_file
+
+Results = Sequence[Mapping[str, Any]]
+PAPER_REACH = {100: ("84 %", "2.6 cm"), 50: ("70 %", "3.2 cm"), 25: ("45 %", "5.3 cm")}
+"""Table II."""
+PAPER_TASKS = {"two-points": {"closed": "75 %"}, "move-object": {"closed": "48 %", "open": "74 %"}}
+"""Section III-B and Table III, strict grasping."""
+BASELINES = ("nearest_demonstration", "behaviour_cloning", "prior_mean", "do_nothing")
+
+
+def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) -> Path:
+    """Writes the page of results.
+
+    Raises:
+        ValueError: the folder holds no evaluation.
+    """
+    found = [json.loads(file.read_text()) | {"file": file.name} for file in sorted(Path(folder).glob("*.json"))]
+    evaluations = [one for one in found if "success" in one]
+    if not evaluations:
+        raise ValueError(f"{folder} holds no evaluation: write one with `preimage evaluate` or `preimage reproduce`")
+    parts = [HEAD, reach_table(evaluations), tasks_table(evaluations), grasps_table(evaluations), recognition_table(found)]
+    parts += [modalities_table(found), speed_table(found), cells_table(evaluations)]
+    path = Path(path)
+    with whole_file(path) as unfinished:
+        unfinished.write_text("\n\n".join(part for part in parts if part) + "\n")
+    return path
+
+
+HEAD = """# Results
+
+Written by `preimage report` from the JSON files in `results/`; nothing here is typed by hand. Every count is k/n of test goals that
+neither training nor tuning saw, with the Wilson 95 % interval. The baselines stand beside: *nearest demonstration* replays the
+demonstration whose last frame is most like the goal, *behaviour cloning* maps what is sensed and the goal frame to the next joints,
+*prior mean* is the same model with no goal, *do nothing* leaves the arm where it starts."""
+
+
+def reach_table(evaluations: Results) -> str:
+    """Table II of the paper."""
+    rows = []
+    for count in (100, 50, 25):
+        for one in of(evaluations, task="reach", num_demonstrations=count):
+            paper, deviation = PAPER_REACH[count]
+            rows.append([f"{count}", size_of(one), paper, counted(one), deviation, mean_cm(one), *baselines(one)])
+    return table("Reaching (Table II)", ["demonstrations", "size, seeds", "paper", "ours", "paper, mean", "ours, mean", *BASELINES], rows)
+
+
+def tasks_table(evaluations: Results) -> str:
+    """Experiments 2 and 3."""
+    rows = []
+    for task in ("two-points", "move-object", "two-circles"):
+        for one in of(evaluations, task=task):
+            paper = PAPER_TASKS.get(task, {}).get(one["loop"], "")
+            rows.append([task, one["loop"], size_of(one), paper, counted(one), mean_cm(one), *baselines(one)])
+    return table("Two points, and moving an object", ["task", "loop", "size, seeds", "paper", "ours", "mean", *BASELINES], rows)
+
+
+def grasps_table(evaluations: Results) -> str:
+    """Table III."""
+    paper = {"closed": ("48 %", "48 %", "64 %", "71 %"), "open": ("74 %", "74 %", "88 %", "93 %")}
+    rows = []
+    for one in of(evaluations, task="move-object"):
+        if one["loop"] in paper:
+            rows.append([one["loop"], "paper", *paper[one["loop"]], "94 %"])
+        within = [counted(one["within_pixels"][pixels]) for pixels in "123"]
+        placed = counted(one["placed_once_grasped"]) if "placed_once_grasped" in one else "none grasped"
+        rows.append([one["loop"], size_of(one), counted(one), *within, placed])
+    return table("Grasping (Table III)", ["loop", "size, seeds", "strict", "1 px", "2 px", "3 px", "placed once grasped"], rows)
+
+
+def recognition_table(found: Results) -> str:
+    """Section II-C."""
+    rows = []
+    for one in found:
+        if "neighbours" in one:
+            training, novel = (sum(one["error"][name]) / len(one["error"][name]) for name in ("training", "novel"))
+            rows.append([one["task"], str(one["num_demonstrations"]), f"{training:.3f}", f"{novel:.3f}", f"{one['neighbours']:.2f}"])
+    head = ["task", "demonstrations", "error, training sequences", "error, novel sequences", "neighbours (rank correlation)"]
+    return table("Recognition of whole sequences", head, rows)
+
+
+def modalities_table(found: Results) -> str:
+    """Section II-D: what of the goal is given."""
+    rows = [
+        [given, counted(row), mean_cm(row), f"{row['pixel_error_mean']:.2f}", f"{row['joint_error_rad_mean']:.3f}"]
+        for one in found
+        for given, row in one.get("modalities", {}).items()
+    ]
+    return table("The goal in one modality or both", ["goal given in", "reached", "mean", "grey levels off", "joints off (rad)"], rows)
+
+
+def speed_table(found: Results) -> str:
+    """What `preimage bench` measured."""
+    rows = []
+    for one in found:
+        for name, work in one.get("train", {}).items() if "limit_gflops" in one else ():
+            share = f"{work['fraction_of_limit']:.0%}"
+            rows.append(
+                [one["device"], f"train {name}", f"{work['seq_steps_per_s']} sequence steps/s", share, f"{work['peak_memory_mb']:.0f} MB"]
+            )
+        for name, work in one.get("plan", {}).items() if "limit_gflops" in one else ():
+            told = f"{work['warm_s']} s warm, {work['cold_s']} s cold"
+            rows.append([one["device"], f"plan {name}", told, f"{work['ms_per_iteration']} ms an iteration", ""])
+    return table("Speed", ["device", "work", "measured", "share of the machine's limit", "peak memory"], rows)
+
+
+def cells_table(evaluations: Results) -> str:
+    """How each number can be had again."""
+    rows = []
+    for one in evaluations:
+        made = one.get("provenance", {})
+        learned = f"{one['training_seconds'] / 60:.1f} min" if "training_seconds" in one else ""
+        rows.append(
+            [
+                one["file"],
+                f"`{made.get('command')}`",
+                str(one["seed"]),
+                learned,
+                f"{one['seconds_per_plan']:.2f} s",
+                str(made.get("machine")),
+            ]
+        )
+    return table("Every cell", ["file", "command", "test seed", "training", "a plan", "machine"], rows)
+
+
+def of(evaluations: Results, **wanted: Any) -> list[Mapping[str, Any]]:
+    return [one for one in evaluations if all(one.get(name) == value for name, value in wanted.items())]
+
+
+def size_of(one: Mapping[str, Any]) -> str:
+    return f"{one.get('size')}, {one.get('training_seed', '–')}/{one['seed']}"
+
+
+def counted(one: Mapping[str, Any]) -> str:
+    low, high = one["interval"]
+    return f"{one['success']}/{one['goals']} ({100 * low:.0f}–{100 * high:.0f} %)"
+
+
+def mean_cm(one: Mapping[str, Any]) -> str:
+    return f"{one['deviation_cm']['mean']:.2f} cm"
+
+
+def baselines(one: Mapping[str, Any]) -> list[str]:
+    return [f"{one['baselines'][name]['success']}/{one['goals']}" if name in one["baselines"] else "" for name in BASELINES]
+
+
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    if not rows:
+        return ""
+    lines = [f"| {' | '.join(cells)} |" for cells in (tuple(name.replace("_", " ") for name in head), ("---",) * len(head), *rows)]
+    return f"## {title}\n\n" + "\n".join(lines)
