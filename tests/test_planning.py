@@ -23,7 +23,7 @@ def bar(far: float, num_steps: int = 6) -> Demonstration:
     columns, place = np.arange(16), 2 + joints[:, :1] * 10
     brightness = np.exp(-(((columns - place) / 1.5) ** 2))  # (T, 16)
     frames = np.repeat((brightness * 220).astype(np.uint8)[:, None, :, None], 16, axis=1)
-    return Demonstration(frames, joints, 5.0, ("a", "b"))
+    return Demonstration(frames, joints, 2.5, ("a", "b"))
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_a_plan_reaches_a_goal_between_the_demonstrations(model: PDVMRNN, config
     assert found.error == pytest.approx(found.errors[-1], rel=1e-4)
     assert (np.diff(found.errors) <= 0).all()
     assert found.stopped in Stopped
-    assert found.rate_hz == 5.0
+    assert found.rate_hz == 2.5
 
 
 @pytest.mark.parametrize("config", [CONFIG, DESCEND], ids=["leap", "descend"])
@@ -132,8 +132,8 @@ def test_the_best_of_several_candidates_is_returned() -> None:
     model = tiny_double()
     goal, space = objective(model), model.intention_table.space(None)
 
-    def from_start(intention):
-        return imagine(model, intention, goal.start, num_steps=6, precision="float64")
+    def from_start(intention, num_steps=None):
+        return imagine(model, intention, goal.start, num_steps=num_steps or 6, precision="float64")
 
     found = regress_intention(space, space.training, from_start, goal, config=replace(DESCEND, iterations=5))
     again, _ = goal.errors(from_start(found.best))

@@ -24,7 +24,7 @@ from preimage.records import Percept
 ARM = Sensors(64, 64, 1, ("yaw", "shoulder", "elbow", "wrist"), (-1.0,) * 4, (1.0,) * 4)
 PEER = Sensors(48, 64, 1, ("pan", "tilt"), (-1.0,) * 2, (1.0,) * 2)
 """Frames and joints of P-VMDNN."""
-PEER_CONFIG = ModelConfig(vision_channels=(8, 12, 16), motor_units=(24, 16, 8), top_channels=8, lateral_channels=2)
+PEER_CONFIG = ModelConfig(vision_channels=(6, 8, 8), motor_units=(16, 8, 6), top_channels=6, lateral_channels=2)
 """About P-VMDNN's 42,000 weights."""
 
 

@@ -14,6 +14,9 @@ A map and a cell are first taken `at` a precision, for the steps of one sequence
 torch.Size([2, 5])
 """
 
+# pyright: reportIncompatibleMethodOverride=false
+# torch declares forward and backward of a Function with any arguments.
+
 from collections.abc import Callable, Sequence
 from typing import Any
 

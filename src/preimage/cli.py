@@ -103,7 +103,7 @@ def train_(
         size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
         resume: go on with the run in `out`, with the sizes and settings it was started with.
         rate_hz: steps a second that the model runs at, instead of the size's own.
-        intention_dimensions: numbers that make an intention, instead of the size's own; 0: the initial states themselves, as in the paper.
+        intention_dimensions: numbers that make an intention, instead of the size's own.
         intention_cost: charge for what an intention tells, instead of the size's own: more where all can be seen at the start.
         config: how the network learns.
     """
@@ -115,7 +115,7 @@ def train_(
         "data": {"name": data.name, "fingerprint": fingerprint(demonstrations)},
     }
     asked = {"rate_hz": rate_hz, "intention_dimensions": intention_dimensions, "intention_cost": intention_cost}
-    model_config = replace(SIZES[size](), **{name: value or None for name, value in asked.items() if value is not None})
+    model_config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
     if resume:
         started = read_config(find_run(out)).get("data")
         if not isinstance(started, dict) or started.get("fingerprint") != about["data"]["fingerprint"]:

@@ -27,7 +27,6 @@ from preimage.training import Progress, TrainConfig, train
 from preimage.whole_file import whole_file
 
 SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.paper}
-MOST_DEMONSTRATIONS = 100
 TEST_GOALS = {"reach": 40, "two-points": 40, "move-object": 50, "two-circles": 50}
 """As many as the paper's; two circles are a row of our own."""
 TELL = Callable[[str], None]
@@ -38,7 +37,7 @@ class Cell:
     """One training and what its model is asked for."""
 
     task: str
-    num_demonstrations: int = MOST_DEMONSTRATIONS
+    num_demonstrations: int = 100
     seed: int = 0
     size: str = "small"
     loops: tuple[Loop, ...] = ("closed",)
@@ -99,12 +98,12 @@ def reproduce(cells: Sequence[Cell], *, work: Path, out: Path, tell: TELL, progr
 
 
 def demonstrations_of(cell: Cell, work: Path, tell: TELL) -> list[Demonstration]:
-    """The cell's demonstrations, recorded where they are not there yet."""
-    folder = work / "data" / f"{cell.task}-{MOST_DEMONSTRATIONS}"
+    """The cell's demonstrations, recorded where they are not there yet; fewer are the first of more."""
+    folder = work / "data" / f"{cell.task}-{cell.num_demonstrations}"
     if not folder.exists():
-        tell(f"recording {MOST_DEMONSTRATIONS} demonstrations of {cell.task}")
-        save(record(Arm(), TASKS[cell.task], count=MOST_DEMONSTRATIONS, seed=0), folder, task=cell.task)
-    return load(folder)[: cell.num_demonstrations]
+        tell(f"recording {cell.num_demonstrations} demonstrations of {cell.task}")
+        save(record(Arm(), TASKS[cell.task], count=cell.num_demonstrations, seed=0), folder, task=cell.task)
+    return load(folder)
 
 
 def model_of(
@@ -120,7 +119,7 @@ def model_of(
         "size": cell.size,
         "task": cell.task,
         "num_demonstrations": len(demonstrations),
-        "data": {"name": f"{cell.task}-{MOST_DEMONSTRATIONS}", "fingerprint": fingerprint(demonstrations)},
+        "data": {"name": f"{cell.task}-{cell.num_demonstrations}", "fingerprint": fingerprint(demonstrations)},
         "provenance": provenance(),
     }
     resume = (run / "resume.pt").exists()

@@ -17,6 +17,9 @@ percept 1 for t = 1, since the robot rests before it starts.
 (torch.Size([3, 4, 1, 16, 16]), torch.Size([3, 4, 2, 10]))
 """
 
+# pyright: reportCallIssue=false, reportArgumentType=false
+# What a ModuleList holds, and how long the shape of a layer is, its types do not tell.
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Self

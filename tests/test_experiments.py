@@ -1,0 +1,50 @@
+"""The experiments: which cells there are, their figures by hand, and one of them from nothing to its JSON, stopped and gone on with."""
+
+import json
+
+import numpy as np
+import pytest
+
+from preimage.experiments import Cell, cells_of, principal_plane, rank_correlation, reproduce
+from preimage.report import write_results
+
+
+def test_all_cells_of_the_paper() -> None:
+    assert [(cell.num_demonstrations, cell.seed) for cell in cells_of("table-2", "small")] == [
+        (n, s) for n in (100, 50, 25) for s in range(3)
+    ]
+    assert {cell.task for cell in cells_of("all", "paper")} == {"reach", "two-points", "move-object", "two-circles"}
+    with pytest.raises(ValueError, match="table-9 is no table"):
+        cells_of("table-9", "small")
+
+
+def test_neighbours_that_stay_neighbours_correlate_fully() -> None:
+    places = np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0], [7.0, 0.0]])
+    assert rank_correlation(2 * places, places.tolist()) == 1.0
+
+
+def test_the_plane_holds_what_differs_most() -> None:
+    rows = np.array([[0.0, 0.0, 1.0], [10.0, 0.0, 1.0], [0.0, 5.0, 1.0], [10.0, 5.0, 1.0]])
+    flat = np.array(principal_plane(rows)(rows))
+    assert np.ptp(np.abs(flat), axis=0).max() < 1e-9
+    assert np.abs(flat[0]).tolist() == pytest.approx([5.0, 2.5])
+
+
+@pytest.mark.slow
+def test_a_cell_from_nothing_to_the_page_and_not_twice(tmp_path) -> None:
+    cell = Cell("reach", num_demonstrations=4, size="tiny", updates=3, goals=2, loops=("closed", "open"))
+    told: list[str] = []
+    reproduce([cell], work=tmp_path / "work", out=tmp_path / "results", tell=told.append)
+    closed = json.loads((tmp_path / "results" / f"{cell.name}-closed.json").read_text())
+    assert {"do_nothing", "nearest_demonstration", "prior_mean", "behaviour_cloning"} == closed["baselines"].keys()
+    assert (tmp_path / "results" / f"{cell.name}-recognition.json").exists()
+    told.clear()
+    reproduce([cell], work=tmp_path / "work", out=tmp_path / "results", tell=told.append)
+    assert told == [f"{cell.name}: done before"]
+    page = write_results(tmp_path / "results", tmp_path / "results.md").read_text()
+    assert f"{closed['success']}/2" in page
+
+
+def test_a_folder_without_evaluations_makes_no_page(tmp_path) -> None:
+    with pytest.raises(ValueError, match="holds no evaluation"):
+        write_results(tmp_path, tmp_path / "results.md")
