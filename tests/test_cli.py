@@ -116,7 +116,7 @@ def test_evaluate_writes_counts_and_baselines(capsys, run_folder, tmp_path):
     assert set(wanted.split()) <= set(result)
     assert (result["goals"], result["seed"], len(result["rows"])) == (2, 9, 2)
     printed = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in printed] == ["preimage", "do_nothing", "nearest_demonstration"]
+    assert [line.split()[0] for line in printed] == ["preimage", "do_nothing", "nearest_demonstration", "prior_mean"]
 
 
 # What a user gets wrong
@@ -386,7 +386,7 @@ def test_a_full_disk_while_saving_loses_nothing(data, tmp_path):
     outcome = subprocess.run([sys.executable, "-c", FULL_DISK, *map(str, words)], capture_output=True, text=True, check=False)
     assert outcome.returncode == 1, outcome.stderr
     *_, sentence = outcome.stderr.splitlines()
-    assert sentence.startswith(f"preimage: {run}/resume.pt could not be written (")
+    assert sentence.startswith(f"preimage: {run}/model.safetensors could not be written (")
     assert "Traceback" not in outcome.stderr
     assert not list(run.glob(".*.part"))
     assert preimage.load_model(run) is not None  # of the first update

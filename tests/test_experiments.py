@@ -1,12 +1,15 @@
-"""The experiments: which cells there are, their figures by hand, and one of them from nothing to its JSON, stopped and gone on with."""
+"""The experiments: which cells there are, their figures by hand, and one of them from nothing to its JSON, stopped everywhere."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
-from preimage.experiments import Cell, cells_of, principal_plane, rank_correlation, reproduce
+from preimage.experiments import Cell, cells_of, goals_of, principal_plane, rank_correlation, reproduce
+from preimage.records import Demonstration
 from preimage.report import write_results
+from preimage.robot import TASKS
 
 
 def test_all_cells_of_the_paper() -> None:
@@ -38,11 +41,23 @@ def test_a_cell_from_nothing_to_the_page_and_not_twice(tmp_path) -> None:
     closed = json.loads((tmp_path / "results" / f"{cell.name}-closed.json").read_text())
     assert {"do_nothing", "nearest_demonstration", "prior_mean", "behaviour_cloning"} == closed["baselines"].keys()
     assert (tmp_path / "results" / f"{cell.name}-recognition.json").exists()
+    (tmp_path / "results" / f"{cell.name}-recognition.json").unlink()  # as if stopped before it was written
+    shutil.rmtree(tmp_path / "work" / "runs" / cell.name)  # and its training before the first checkpoint
+    (tmp_path / "work" / "runs" / cell.name).mkdir()
+    reproduce([cell], work=tmp_path / "work", out=tmp_path / "results", tell=told.append)
+    assert (tmp_path / "results" / f"{cell.name}-recognition.json").exists()
     told.clear()
     reproduce([cell], work=tmp_path / "work", out=tmp_path / "results", tell=told.append)
     assert told == [f"{cell.name}: done before"]
     page = write_results(tmp_path / "results", tmp_path / "results.md").read_text()
     assert f"{closed['success']}/2" in page
+
+
+def test_goals_are_where_the_judge_measures_from() -> None:
+    for task, wanted in (("reach", "goal"), ("two-points", "goal"), ("move-object", "circle"), ("two-circles", "circle")):
+        scene = TASKS[task].sample(np.random.default_rng(0))
+        shown = Demonstration(np.zeros((2, 8, 8, 1), np.uint8), np.zeros((2, 1)), 1.0, ("a",), scene)
+        assert goals_of([shown]) == [list(scene.positions_m[wanted][:2])]
 
 
 def test_a_folder_without_evaluations_makes_no_page(tmp_path) -> None:

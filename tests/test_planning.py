@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from preimage.intention import unflatten
 from preimage.model import PDVMRNN, Generated, InputSequence, ModelConfig
-from preimage.planning import PlanConfig, as_inputs, imagine, plan, recognise
+from preimage.planning import PlanConfig, as_inputs, follow, imagine, plan, recognise
 from preimage.prediction_error import ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Stopped
-from preimage.regression import regress_intention
+from preimage.regression import Places, leaps_from, learn_from_leap, regress_intention
 from preimage.training import TrainConfig, train
 
 CONFIG = PlanConfig(precision="float32")
@@ -138,6 +139,35 @@ def test_the_best_of_several_candidates_is_returned() -> None:
     found = regress_intention(space, space.training, from_start, goal, config=replace(DESCEND, iterations=5))
     again, _ = goal.errors(from_start(found.best))
     assert again.item() == pytest.approx(found.error.min().item())
+
+
+def test_one_step_prediction_is_the_open_loop(model: PDVMRNN) -> None:
+    shown = bar(0.6)
+    found = plan(model, start=shown.first, goal=shown.last, config=CONFIG)
+    policy = follow(model, found)
+    stepwise = np.stack([policy(shown[step]) for step in range(len(shown) - 1)])
+    intention = unflatten(torch.from_numpy(found.intention).float()[None], model.intention_table.shapes)
+    opened = model.generate_open_loop(intention, sensed_of(model, shown))
+    at_once = model.coding.decode(opened.log_codes[0].exp()).numpy()
+    np.testing.assert_allclose(stepwise, at_once[1:], atol=1e-5)
+
+
+def test_a_leap_solves_what_is_linear_and_learns_what_it_did() -> None:
+    generator = torch.Generator().manual_seed(0)
+    slopes, start = torch.randn(1, 3, 7, generator=generator), torch.randn(1, 7, generator=generator)
+    here = Places(torch.zeros(1, 3), torch.zeros(1), torch.zeros(1, dtype=torch.long), start)
+    least = -torch.linalg.lstsq(slopes[0].T, start[0]).solution
+    torch.testing.assert_close(leaps_from(here, slopes, cost=0.0)[0, 0], least, atol=2e-2, rtol=0)  # the least damped
+    there = Places(torch.tensor([[0.1, -0.2, 0.3]]), torch.zeros(1), here.aims, torch.randn(1, 7, generator=generator))
+    learned = learn_from_leap(slopes, here, there)
+    torch.testing.assert_close(((there.points - here.points)[:, :, None] * learned).sum(1), there.residuals - here.residuals)
+
+
+def test_a_model_of_one_demonstration_plans() -> None:
+    config = TrainConfig(updates=2, rest_steps=1, precision="float32")
+    alone = train([bar(0.5)], ModelConfig.tiny(), config=config)
+    found = plan(alone, goal=bar(0.5).last, config=replace(CONFIG, dimensions=None, iterations=2))
+    assert np.isfinite(found.error)
 
 
 def test_recognition_regenerates_a_new_sequence(model: PDVMRNN) -> None:

@@ -5,7 +5,7 @@ execution, and a film of both.
 """
 
 from preimage.dataset import load, save
-from preimage.evaluation import evaluate, result_of, wilson_interval
+from preimage.evaluation import Evaluated, evaluate, result_of, wilson_interval
 from preimage.execution import execute, execute_open_loop
 from preimage.intention import IntentionState
 from preimage.model import PDVMRNN, ModelConfig, Sensors
@@ -15,17 +15,19 @@ from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped
 from preimage.regression import regress_intention
 from preimage.report import figure, film
 from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
-from preimage.runs import load_model
-from preimage.training import TrainConfig, train
+from preimage.runs import load_model, read_shown
+from preimage.training import NonFinite, TrainConfig, train
 
 __all__ = [
     "PDVMRNN",
     "TASKS",
     "Arm",
     "Demonstration",
+    "Evaluated",
     "IntentionState",
     "ModelConfig",
     "MoveObject",
+    "NonFinite",
     "Percept",
     "Plan",
     "PlanConfig",
@@ -48,6 +50,7 @@ __all__ = [
     "load_model",
     "load_plan",
     "plan",
+    "read_shown",
     "recognise",
     "record",
     "regress_intention",

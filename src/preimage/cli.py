@@ -36,9 +36,11 @@ from preimage.whole_file import whole_file
 console = Console(stderr=True)
 LEAST = {
     **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every", "candidates", "horizon", "dimensions"), 1),
+    "intention_dimensions": 1,
+    "intention_cost": 0,
     **dict.fromkeys(("rest_steps", "seed", "iterations"), 0),
 }
-ABOVE_ZERO = "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe"
+ABOVE_ZERO = "rate_hz", "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe"
 SHARES = "final_share", "open_loop_share"
 
 
@@ -116,6 +118,7 @@ def train_(
     }
     asked = {"rate_hz": rate_hz, "intention_dimensions": intention_dimensions, "intention_cost": intention_cost}
     model_config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
+    refuse_out_of_range(model_config)
     if resume:
         started = read_config(find_run(out)).get("data")
         if not isinstance(started, dict) or started.get("fingerprint") != about["data"]["fingerprint"]:
@@ -234,6 +237,7 @@ def reproduce_(
     table: Positional[Literal["table-2", "two-points", "table-3", "two-circles", "all"]],
     size: Literal["tiny", "small", "paper"] = "small",
     seeds: int = 3,
+    demonstrations: tuple[int, ...] = (100, 50, 25),
     work: Path = Path("runs/reproduce"),
     out: Path = Path("results"),
 ) -> None:
@@ -243,6 +247,7 @@ def reproduce_(
         table: which of the paper's tables, or all.
         size: of the network.
         seeds: how many of the three training seeds.
+        demonstrations: which numbers of demonstrations.
         work: folder for demonstrations and runs.
         out: folder for a JSON file a cell.
     """
@@ -252,8 +257,13 @@ def reproduce_(
         def learn(told: Told) -> None:
             progress.update(shown, completed=told.update, total=told.updates)
 
-        chosen = [cell for cell in cells_of(table, size) if cell.seed < seeds]
-        reproduce(chosen, work=work, out=out, tell=lambda text: progress.update(shown, description=text), progress=learn)
+        def tell(text: str) -> None:
+            progress.update(shown, description=text)
+            if not console.is_terminal:
+                print(text, file=sys.stderr, flush=True)
+
+        chosen = [cell for cell in cells_of(table, size) if cell.seed < seeds and cell.num_demonstrations in demonstrations]
+        reproduce(chosen, work=work, out=out, tell=tell, progress=learn)
     print(f"{len(chosen)} cells are in {out}; `preimage report` makes the page of them")
 
 
@@ -288,7 +298,7 @@ def summary(name: str, counted: dict[str, Any]) -> str:
     return f"{name:22s} {rate}, {counted['deviation_cm']['mean']:.2f} cm off on average"
 
 
-def refuse_out_of_range(config: TrainConfig | PlanConfig) -> None:
+def refuse_out_of_range(config: ModelConfig | TrainConfig | PlanConfig) -> None:
     """Raises ValueError where a number is too small, or none, for the work to begin."""
     given = {name: value for name, value in asdict(config).items() if value is not None}
     for name, value in given.items():

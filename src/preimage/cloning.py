@@ -54,15 +54,15 @@ class Clone(nn.Module):
 
         @torch.no_grad()
         def next_joints(percept: Percept) -> Float[np.ndarray, " J"]:
-            joints = torch.as_tensor(percept.joints, dtype=torch.float32)[None]
+            joints = torch.as_tensor(percept.joints).to(self.coding.centres)[None]
             log_codes = self((self._pixels(percept), self.coding.encode(joints)), wanted)
-            return self.coding.decode(log_codes.exp())[0].double().numpy()
+            return self.coding.decode(log_codes.exp())[0].double().cpu().numpy()
 
         return next_joints
 
     def _pixels(self, percept: Percept) -> Float[Tensor, "1 C H W"]:
         assert percept.frame is not None
-        return to_pixels(torch.from_numpy(np.ascontiguousarray(percept.frame)))[None]
+        return to_pixels(torch.from_numpy(np.ascontiguousarray(percept.frame)).to(self.coding.centres.device))[None]
 
 
 def clone(demonstrations: Sequence[Demonstration], *, rate_hz: float, updates: int = 3000, batch_size: int = 64, seed: int = 0) -> Clone:

@@ -103,15 +103,15 @@ def evaluate(
     evaluated = []
     for demonstration in record(arm, task, count=goals, seed=seed):
         found = plan(model, start=demonstration.first, goal=goal_of(demonstration, config), config=config, library=library)
-        trial = carry_out(model, found, arm, task, demonstration, loop)
-        baselines = dict(baselines_of(model, arm, task, demonstration, shown, policies or {}))
+        trial = carry_out(model, found, arm, task, demonstration, loop, config)
+        baselines = dict(baselines_of(model, arm, task, demonstration, shown, policies or {}, config))
         evaluated.append(Evaluated(demonstration, found, trial, baselines))
         if progress:
             progress(evaluated[-1])
     return evaluated
 
 
-def carry_out(model: PDVMRNN, found: Plan, arm: Arm, task: Task, demonstration: Demonstration, loop: Loop) -> Trial:
+def carry_out(model: PDVMRNN, found: Plan, arm: Arm, task: Task, demonstration: Demonstration, loop: Loop, config: PlanConfig) -> Trial:
     """Execute a plan in one of the loops."""
     assert demonstration.scene is not None
     if loop == "closed":
@@ -121,12 +121,12 @@ def carry_out(model: PDVMRNN, found: Plan, arm: Arm, task: Task, demonstration: 
         recorded = at_rate(demonstration, found.rate_hz)
         joints = np.stack([recorded.joints[0], *(policy(recorded[step]) for step in range(len(recorded) - 1))])
         return play(joints, found.rate_hz, arm, demonstration.scene, task=task)
-    num_steps = horizon_of(model, PlanConfig()) - 1
+    num_steps = horizon_of(model, config) - 1
     return execute_open_loop(policy, arm, demonstration.scene, num_steps=num_steps, rate_hz=found.rate_hz, task=task)
 
 
 def baselines_of(
-    model: PDVMRNN, arm: Arm, task: Task, demonstration: Demonstration, shown: Sequence[Shown], policies: Policies
+    model: PDVMRNN, arm: Arm, task: Task, demonstration: Demonstration, shown: Sequence[Shown], policies: Policies, config: PlanConfig
 ) -> Iterator[tuple[str, Trial]]:
     """What would have been reached otherwise."""
     scene = demonstration.scene
@@ -134,9 +134,9 @@ def baselines_of(
     yield "do_nothing", play(demonstration.joints[:1], demonstration.rate_hz, arm, scene, task=task)
     nearest = nearest_shown(shown, demonstration.last)
     yield "nearest_demonstration", play(nearest.joints, nearest.rate_hz, arm, scene, task=task)
-    yield "prior_mean", execute(imagine_without_goal(model, demonstration.first), arm, scene, task=task)
+    yield "prior_mean", execute(imagine_without_goal(model, demonstration.first, config=config), arm, scene, task=task)
     for name, policy_to in policies.items():
-        num_steps = horizon_of(model, PlanConfig()) - 1
+        num_steps = horizon_of(model, config) - 1
         policy = policy_to(Percept(demonstration.last.frame))
         yield name, execute_open_loop(policy, arm, scene, num_steps=num_steps, rate_hz=model.config.rate_hz, task=task)
 

@@ -6,9 +6,11 @@ seed draws the first weights, the batches and, as 1000 + seed, the test goals. S
 """
 
 import json
+import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from preimage.planning import PlanConfig, recognise
 from preimage.provenance import provenance
 from preimage.records import Demonstration
 from preimage.robot import TASKS, Arm, record
-from preimage.runs import load_model, read_shown, write_card
+from preimage.runs import load_model, read_config, read_shown, write_card
 from preimage.training import Progress, TrainConfig, train
 from preimage.whole_file import whole_file
 
@@ -51,10 +53,10 @@ class Cell:
 
 
 PAPER: dict[str, dict[str, float]] = {
-    "reach-100": {"success_rate": 0.84, "deviation_cm": 2.6},
-    "reach-50": {"success_rate": 0.70, "deviation_cm": 3.2},
-    "reach-25": {"success_rate": 0.45, "deviation_cm": 5.3},
-    "two-points-100": {"success_rate": 0.75},
+    "reach-100-closed": {"success_rate": 0.84, "deviation_cm": 2.6},
+    "reach-50-closed": {"success_rate": 0.70, "deviation_cm": 3.2},
+    "reach-25-closed": {"success_rate": 0.45, "deviation_cm": 5.3},
+    "two-points-100-closed": {"success_rate": 0.75},
     "move-object-100-closed": {"success_rate": 0.48, "within_1": 0.48, "within_2": 0.64, "within_3": 0.71, "placed_once_grasped": 0.94},
     "move-object-100-open": {"success_rate": 0.74, "within_1": 0.74, "within_2": 0.88, "within_3": 0.93},
 }
@@ -81,20 +83,34 @@ def cells_of(table: str, size: str) -> list[Cell]:
 
 
 def reproduce(cells: Sequence[Cell], *, work: Path, out: Path, tell: TELL, progress: Callable[[Progress], None] | None = None) -> None:
-    """Every cell's JSON is in `out`; what is there already is not made again."""
+    """Every cell's JSON files are in `out`; what is there already is not made again.
+
+    Raises:
+        ValueError: the working folder holds a run of that name with other data or settings.
+    """
     for cell in cells:
-        missing: list[Loop] = [loop for loop in cell.loops if not (out / f"{cell.name}-{loop}.json").exists()]
+        missing = {name: job for name, job in jobs_of(cell, work, tell).items() if not (out / f"{cell.name}-{name}.json").exists()}
         if not missing:
             tell(f"{cell.name}: done before")
             continue
         demonstrations = demonstrations_of(cell, work, tell)
         model = model_of(cell, demonstrations, work, tell, progress)
-        for loop in missing:
-            write(out / f"{cell.name}-{loop}.json", evaluation_of(cell, model, demonstrations, work, loop, tell))
-        if cell.seed == 0:
-            write(out / f"{cell.name}-recognition.json", recognition_of(cell, model, demonstrations))
-            if cell.task == "reach":
-                write(out / f"{cell.name}-modalities.json", modalities_of(cell, model, work))
+        for name, job in missing.items():
+            tell(f"{cell.name}: {name}")
+            write(out / f"{cell.name}-{name}.json", job(model, demonstrations))
+
+
+Job = Callable[[PDVMRNN, list[Demonstration]], dict[str, Any]]
+
+
+def jobs_of(cell: Cell, work: Path, tell: TELL) -> dict[str, Job]:
+    """All that a cell is asked for, by the ending of its file's name."""
+    jobs: dict[str, Job] = {loop: partial(evaluation_of, cell, work=work, loop=loop, tell=tell) for loop in cell.loops}
+    if cell.seed == 0:
+        jobs["recognition"] = partial(recognition_of, cell)
+        if cell.task == "reach":
+            jobs["modalities"] = partial(modalities_of, cell, work=work)
+    return jobs
 
 
 def demonstrations_of(cell: Cell, work: Path, tell: TELL) -> list[Demonstration]:
@@ -112,6 +128,10 @@ def model_of(
     """The cell's trained model; a training that was stopped goes on."""
     run = work / "runs" / cell.name
     config = TrainConfig(seed=cell.seed, updates=cell.updates)
+    if (run / "resume.pt").exists():
+        refuse_other_run(run, demonstrations, config)
+    elif run.exists():
+        shutil.rmtree(run)  # it was stopped before its first checkpoint
     if (run / "README.md").exists():
         return load_model(run)
     tell(f"{cell.name}: training")
@@ -128,10 +148,19 @@ def model_of(
     return load_model(run)
 
 
+def refuse_other_run(run: Path, demonstrations: list[Demonstration], config: TrainConfig) -> None:
+    """Raises ValueError where a run was made from other demonstrations or with other settings than are asked for."""
+    started = read_config(run)
+    if (started["data"]["fingerprint"], started["train"]) != (fingerprint(demonstrations), asdict(config)):
+        raise ValueError(f"{run} was trained on other data or with other settings: remove it, or give another --work")
+
+
 def evaluation_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration], work: Path, loop: Loop, tell: TELL) -> dict[str, Any]:
     """Counts, baselines and rows of one cell in one loop."""
     goals = cell.goals or TEST_GOALS[cell.task]
-    policy = clone(demonstrations, rate_hz=model.config.rate_hz, seed=cell.seed)
+    policies = {}
+    if loop == cell.loops[0]:  # a baseline has no loop: once is enough
+        policies["behaviour_cloning"] = clone(demonstrations, rate_hz=model.config.rate_hz, seed=cell.seed).policy_to
     began, reached = time.perf_counter(), [0, 0]
 
     def count(one: Any) -> None:
@@ -143,10 +172,15 @@ def evaluation_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration
     run = work / "runs" / cell.name
     evaluated = evaluate(
         model, Arm(), TASKS[cell.task], goals=goals, seed=1000 + cell.seed, shown=read_shown(run), loop=loop,
-        policies={"behaviour_cloning": policy.policy_to}, progress=count,
+        policies=policies, progress=count,
     )  # fmt: skip
     about = asdict(cell) | {"model": cell.name, "seed": 1000 + cell.seed, "training_seed": cell.seed, "loop": loop}
-    about |= {"plan": asdict(PlanConfig()), "training_seconds": training_seconds(run), "provenance": provenance()}
+    about |= {
+        "paper": PAPER.get(f"{cell.task}-{cell.num_demonstrations}-{loop}"),
+        "plan": asdict(PlanConfig()),
+        "training_seconds": training_seconds(run),
+        "provenance": provenance(),
+    }
     return result_of(evaluated, about)
 
 
@@ -163,8 +197,8 @@ def recognition_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstratio
     novel = record(Arm(), TASKS[cell.task], count=count, seed=2000 + cell.seed)
     found = {"training": demonstrations[:count], "novel": novel}
     recognised = {name: [recognise(model, one) for one in several] for name, several in found.items()}
-    places = {name: np.stack([one.intention.flatten()[0].numpy() for one in several]) for name, several in recognised.items()}
-    table = model.intention_table.intentions().flatten().detach().numpy()
+    places = {name: np.stack([one.intention.flatten()[0].cpu().numpy() for one in several]) for name, several in recognised.items()}
+    table = model.intention_table.intentions().flatten().detach().cpu().numpy()
     flat = principal_plane(table)
     return {
         **asdict(cell),
@@ -186,8 +220,8 @@ def principal_plane(rows: np.ndarray) -> Callable[[np.ndarray], list[list[float]
 
 def goals_of(demonstrations: Sequence[Demonstration]) -> list[list[float]]:
     """Where the tutor brought the hand or the object, on the table (m)."""
-    scenes = [one.scene for one in demonstrations if one.scene is not None]
-    return [list(next(iter(reversed(list(scene.positions_m.values()))))[:2]) for scene in scenes]
+    places = [one.scene.positions_m for one in demonstrations if one.scene is not None]
+    return [list(place["goal" if "goal" in place else "circle"][:2]) for place in places]
 
 
 def rank_correlation(intentions: np.ndarray, goals: Sequence[Sequence[float]]) -> float:
@@ -200,7 +234,7 @@ def rank_correlation(intentions: np.ndarray, goals: Sequence[Sequence[float]]) -
     return round(float(np.corrcoef(np.stack(ranks))[0, 1]), 3)
 
 
-def modalities_of(cell: Cell, model: PDVMRNN, work: Path, goals: int = 20) -> dict[str, Any]:
+def modalities_of(cell: Cell, model: PDVMRNN, _: list[Demonstration], *, work: Path, goals: int = 20) -> dict[str, Any]:
     """Section II-D: the goal given in vision only, joints only or both; the error of each modality at arrival, given or not."""
     rows: dict[str, Any] = {}
     shown = read_shown(work / "runs" / cell.name)

@@ -28,7 +28,7 @@ class Library:
     def begins_at(self, start: Sensed) -> bool:
         """Whether a plan may begin at this start as well: nothing that can be seen or felt stands elsewhere."""
         visual = visual_error(self.start[0], start[0])
-        felt = proprioceptive_error(self.start[1].log(), start[1])
+        felt = proprioceptive_error(self.start[1].clamp(min=1e-12).log(), start[1])
         return bool(visual < SAME_VISUAL) and bool(felt < SAME_PROPRIOCEPTIVE)
 
 

@@ -102,19 +102,19 @@ def plan(
     with torch.no_grad():
         imagined = from_start(found.best)
         error, arrival = objective.errors(imagined)
-    searched = {"errors": found.errors.double().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
+    searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
     return plan_of(model, imagined, found.best, int(arrival), start=start, goal=goal, error=float(error), **searched)
 
 
 def plan_of(model: PDVMRNN, imagined: Generated, intention: IntentionState, arrival_step: int, **known: Any) -> Plan:
     """What was imagined, as the record that leaves this room."""
     return Plan(
-        frames=to_frames(imagined.pixels[0]).numpy(),
-        joints=model.coding.decode(imagined.log_codes[0].exp()).double().numpy(),
+        frames=to_frames(imagined.pixels[0]).cpu().numpy(),
+        joints=model.coding.decode(imagined.log_codes[0].exp()).double().cpu().numpy(),
         arrival_step=arrival_step,
         rate_hz=model.config.rate_hz,
         joint_names=model.sensors.joint_names,
-        intention=intention.flatten()[0].double().numpy(),
+        intention=intention.flatten()[0].double().cpu().numpy(),
         **known,
     )
 
@@ -141,7 +141,7 @@ def follow(model: PDVMRNN, plan: Plan) -> Callable[[Percept], Float[np.ndarray, 
     """
     forward = model.at(model.pixel_bias.dtype)
     table = model.intention_table
-    intention = unflatten(torch.from_numpy(plan.intention).to(model.home_joints.dtype)[None], table.shapes)
+    intention = unflatten(torch.from_numpy(plan.intention).to(model.home_joints)[None], table.shapes)
     states = [model.initial_states(intention)]
 
     def predict(percept: Percept) -> Inputs:
@@ -154,7 +154,7 @@ def follow(model: PDVMRNN, plan: Plan) -> Callable[[Percept], Float[np.ndarray, 
 
     def next_joints(percept: Percept) -> Float[np.ndarray, " J"]:
         _, log_codes = predict(percept)
-        return model.coding.decode(log_codes[0].exp()).double().numpy()
+        return model.coding.decode(log_codes[0].exp()).double().cpu().numpy()
 
     return next_joints
 
@@ -181,12 +181,12 @@ def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfi
     with torch.no_grad():
         generated = from_start(found.best)
         error, _ = objective.errors(generated)
-    return Recognition(found.best, generated, float(error), found.errors.double().numpy(), found.stopped)
+    return Recognition(found.best, generated, float(error), found.errors.double().cpu().numpy(), found.stopped)
 
 
 def home(model: PDVMRNN) -> Percept:
     """The mean first percept of the demonstrations: where a plan starts when nothing else is said."""
-    return Percept(to_frames(model.home_pixels).numpy(), model.home_joints.double().numpy())
+    return Percept(to_frames(model.home_pixels).cpu().numpy(), model.home_joints.double().cpu().numpy())
 
 
 def horizon_of(model: PDVMRNN, config: PlanConfig) -> int:
@@ -218,6 +218,8 @@ def as_inputs(model: PDVMRNN, percept: Percept, *, name: str) -> Sensed:
         raise ValueError(f"the {name} has {len(percept.joints)} joints, the model was trained with {sensors.num_joints}")
     if not np.isfinite(percept.joints).all():
         raise ValueError(f"the {name}'s joints are not finite: {percept.joints.tolist()}")
+    if percept.frame.dtype != np.uint8:
+        raise ValueError(f"the {name}'s frame holds {percept.frame.dtype}: give 8-bit pixels, 0 to 255 (uint8)")
     joints = torch.as_tensor(percept.joints, dtype=model.home_joints.dtype, device=model.home_joints.device)
     frame = torch.from_numpy(np.ascontiguousarray(percept.frame)).to(model.home_pixels.device)
     return to_pixels(frame).to(model.home_pixels.dtype), model.coding.encode(joints)

@@ -2,6 +2,7 @@
 
 import platform
 import shlex
+import shutil
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -14,12 +15,19 @@ import torch
 
 def provenance() -> dict[str, Any]:
     """Of this process, ready for JSON."""
-    here = Path(__file__).parent
-    described = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True, check=False)
     return {
         "command": shlex.join(["preimage", *sys.argv[1:]]),
-        "commit": described.stdout.strip() or None,
+        "commit": commit(),
         "versions": {name: version(name) for name in ("preimage", "torch", "mujoco", "numpy")} | {"python": platform.python_version()},
         "machine": f"{platform.machine()}, {torch.get_num_threads()} threads",
         "date": datetime.now(UTC).date().isoformat(),
     }
+
+
+def commit() -> str | None:
+    """The commit of the checkout this runs from; None where it was installed without one."""
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists() or shutil.which("git") is None:
+        return None
+    described = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=root, capture_output=True, text=True, check=False)
+    return described.stdout.strip() or None

@@ -39,8 +39,8 @@ class RegressionConfig:
     """Adam's rate, in units of the intention space; only where descending."""
     probe: float = 0.15
     """How far each number is changed to see what it does; only where leaping."""
-    dimensions: int = 32
-    """Directions that are searched of a free intention, those in which the training intentions differ most."""
+    dimensions: int | None = 32
+    """Directions that are searched, those in which the training intentions differ most; None: the numbers of the intention as they are."""
     intention_cost: float = 0.01
     """Charge for the squared size of the intention: unlikely ways to a goal cost more than likely ones."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
@@ -210,4 +210,4 @@ def better_of(here: Places, tried: Places) -> Places:
     count = len(here.points)
     both = Places(*(torch.cat([getattr(here, name), getattr(tried, name)]) for name in ("points", "error", "aims", "residuals")))
     rows = torch.cat([torch.arange(count)[:, None], count + torch.arange(len(tried.points)).view(count, -1)], 1).to(here.aims.device)
-    return both[rows.gather(1, both.error[rows].argmin(1, keepdim=True))[:, 0]]
+    return both[rows.gather(1, both.error.nan_to_num(nan=torch.inf)[rows].argmin(1, keepdim=True))[:, 0]]

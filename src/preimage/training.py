@@ -123,7 +123,7 @@ def train(
         KeyboardInterrupt: the training was interrupted; the last update is saved.
     """
     model_config, config = model_config or ModelConfig.small(), config or TrainConfig()
-    model_config = replace(model_config, rate_hz=min(model_config.rate_hz, *(one.rate_hz for one in demonstrations)))
+    model_config = replace(model_config, rate_hz=min([model_config.rate_hz, *(one.rate_hz for one in demonstrations)]))
     sequences = pad(demonstrations, rate_hz=model_config.rate_hz, rest_steps=config.rest_steps)
     model = PDVMRNN(model_config, sensors_of(demonstrations), len(sequences), config.seed)
     start_from(model, sequences)
@@ -156,8 +156,8 @@ def start_from(model: PDVMRNN, sequences: Sequences) -> None:
 def spread_intentions(table: IntentionTable, features: Float[Tensor, "N F"], components: int = 16) -> None:
     """Start the intentions where alike sequences are neighbours: at their principal components.
 
-    The paper starts them at random. From there, learning first has to find out what an intention could be good for; from here it takes
-    about half the updates (docs/log.md).
+    The paper starts them at random. From there, learning first has to find out what an intention could be good for; from here it
+    can begin with the demonstrations themselves.
     """
     centred = features - features.mean(0)
     directions, sizes, _ = torch.linalg.svd(centred, full_matrices=False)
@@ -212,7 +212,7 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     optimiser.zero_grad()
     (error.total + model.config.intention_cost * charge).mean().backward()
     norm = nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], config.gradient_norm)
-    refuse_non_finite(learner, error, norm, run)
+    refuse_non_finite(learner, error, charge, norm, run)
     optimiser.step()
     learner.update += 1
     visual, proprioceptive = error.visual.mean().item(), error.proprioceptive.mean().item()
@@ -231,13 +231,14 @@ def error_of(model: PDVMRNN, intention: IntentionState, sequences: Sequences, ro
     return sequence_error(generated, pixels, codes, sequences.mask[rows])
 
 
-def refuse_non_finite(learner: Learner, error: SequenceError, norm: Tensor, run: Path | None) -> None:
+def refuse_non_finite(learner: Learner, error: SequenceError, charge: Tensor, norm: Tensor, run: Path | None) -> None:
     """Raises NonFinite, naming the first tensor that is not finite, before it can reach the weights."""
-    suspects = {"the visual error": error.visual, "the proprioceptive error": error.proprioceptive}
+    suspects = {"the visual error": error.visual, "the proprioceptive error": error.proprioceptive, "the charge for the intention": charge}
     if all(bool(value.isfinite().all()) for value in (*suspects.values(), norm)):
         return
     gradients = {f"the gradient of {name}": p.grad for name, p in learner.model.named_parameters() if p.grad is not None}
-    name = next(name for name, value in (suspects | gradients).items() if not bool(value.isfinite().all()))
+    broken = (name for name, value in (suspects | gradients).items() if not bool(value.isfinite().all()))
+    name = next(broken, "the norm of the gradient")
     text = f"{name} is not finite at update {learner.update + 1}: a lower learning rate or precision float32 would do"
     if run:
         with whole_file(run / "non_finite.json") as path:
@@ -304,6 +305,6 @@ def keep_lines(log: Path, count: int) -> None:
 
 def save(run: Path, learner: Learner) -> None:
     """Write a checkpoint; a full disk raises OSError and leaves the former one whole."""
+    write_weights(run, learner.model)  # first: a checkpoint promises that its weights are there
     with whole_file(run / "resume.pt") as path:
         torch.save(learner.state(), path)
-    write_weights(run, learner.model)

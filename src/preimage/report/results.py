@@ -9,10 +9,6 @@ from typing import Any
 from preimage.whole_file import whole_file
 
 Results = Sequence[Mapping[str, Any]]
-PAPER_REACH = {100: ("84 %", "2.6 cm"), 50: ("70 %", "3.2 cm"), 25: ("45 %", "5.3 cm")}
-"""Table II."""
-PAPER_TASKS = {"two-points": {"closed": "75 %"}, "move-object": {"closed": "48 %", "open": "74 %"}}
-"""Section III-B and Table III, strict grasping."""
 BASELINES = ("nearest_demonstration", "behaviour_cloning", "prior_mean", "do_nothing")
 
 
@@ -20,10 +16,10 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     """Writes the page of results.
 
     Raises:
-        ValueError: the folder holds no evaluation.
+        ValueError: the folder holds no evaluation, or a file that is no result.
     """
-    found = [json.loads(file.read_text()) | {"file": file.name} for file in sorted(Path(folder).glob("*.json"))]
-    evaluations = [one for one in found if "success" in one]
+    found = [read_result(file) for file in sorted(Path(folder).glob("*.json"))]
+    evaluations = [one for one in found if {"task", "success", "loop", "seconds_per_plan", "baselines"} <= one.keys()]
     if not evaluations:
         raise ValueError(f"{folder} holds no evaluation: write one with `preimage evaluate` or `preimage reproduce`")
     parts = [HEAD, reach_table(evaluations), tasks_table(evaluations), grasps_table(evaluations), recognition_table(found)]
@@ -32,6 +28,13 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     with whole_file(path) as unfinished:
         unfinished.write_text("\n\n".join(part for part in parts if part) + "\n")
     return path
+
+
+def read_result(file: Path) -> dict[str, Any]:
+    try:
+        return json.loads(file.read_text()) | {"file": file.name}
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{file} is no result ({error}): remove it, or write it anew") from error
 
 
 HEAD = """# Results
@@ -46,9 +49,10 @@ def reach_table(evaluations: Results) -> str:
     """Table II of the paper."""
     rows = []
     for count in (100, 50, 25):
-        for one in of(evaluations, task="reach", num_demonstrations=count):
-            paper, deviation = PAPER_REACH[count]
-            rows.append([f"{count}", size_of(one), paper, counted(one), deviation, mean_cm(one), *baselines(one)])
+        for one in of(evaluations, task="reach", num_demonstrations=count, loop="closed"):
+            deviation = (one.get("paper") or {}).get("deviation_cm")
+            mean = f"{deviation} cm" if deviation else ""
+            rows.append([f"{count}", size_of(one), paper_rate(one), counted(one), mean, mean_cm(one), *baselines(one)])
     return table("Reaching (Table II)", ["demonstrations", "size, seeds", "paper", "ours", "paper, mean", "ours, mean", *BASELINES], rows)
 
 
@@ -57,18 +61,18 @@ def tasks_table(evaluations: Results) -> str:
     rows = []
     for task in ("two-points", "move-object", "two-circles"):
         for one in of(evaluations, task=task):
-            paper = PAPER_TASKS.get(task, {}).get(one["loop"], "")
-            rows.append([task, one["loop"], size_of(one), paper, counted(one), mean_cm(one), *baselines(one)])
+            rows.append([task, one["loop"], size_of(one), paper_rate(one), counted(one), mean_cm(one), *baselines(one)])
     return table("Two points, and moving an object", ["task", "loop", "size, seeds", "paper", "ours", "mean", *BASELINES], rows)
 
 
 def grasps_table(evaluations: Results) -> str:
     """Table III."""
-    paper = {"closed": ("48 %", "48 %", "64 %", "71 %"), "open": ("74 %", "74 %", "88 %", "93 %")}
     rows = []
     for one in of(evaluations, task="move-object"):
-        if one["loop"] in paper:
-            rows.append([one["loop"], "paper", *paper[one["loop"]], "94 %"])
+        paper = one.get("paper")
+        if paper and one.get("training_seed") == 0:
+            names = ("success_rate", "within_1", "within_2", "within_3", "placed_once_grasped")
+            rows.append([one["loop"], "paper", *(percent(paper[name]) if name in paper else "" for name in names)])
         within = [counted(one["within_pixels"][pixels]) for pixels in "123"]
         placed = counted(one["placed_once_grasped"]) if "placed_once_grasped" in one else "none grasped"
         rows.append([one["loop"], size_of(one), counted(one), *within, placed])
@@ -107,8 +111,8 @@ def speed_table(found: Results) -> str:
             )
         for name, work in one.get("plan", {}).items() if "limit_gflops" in one else ():
             told = f"{work['warm_s']} s warm, {work['cold_s']} s cold"
-            rows.append([one["device"], f"plan {name}", told, f"{work['ms_per_iteration']} ms an iteration", ""])
-    return table("Speed", ["device", "work", "measured", "share of the machine's limit", "peak memory"], rows)
+            rows.append([one["device"], f"plan {name}", told, f"{work['ms_per_iteration']} ms an iteration"])
+    return table("Speed", ["device", "work", "measured", "share of the machine's limit"], rows)
 
 
 def cells_table(evaluations: Results) -> str:
@@ -132,6 +136,14 @@ def cells_table(evaluations: Results) -> str:
 
 def of(evaluations: Results, **wanted: Any) -> list[Mapping[str, Any]]:
     return [one for one in evaluations if all(one.get(name) == value for name, value in wanted.items())]
+
+
+def paper_rate(one: Mapping[str, Any]) -> str:
+    return percent(one["paper"]["success_rate"]) if one.get("paper") else ""
+
+
+def percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
 
 
 def size_of(one: Mapping[str, Any]) -> str:
