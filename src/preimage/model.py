@@ -60,7 +60,7 @@ class ModelConfig:
     """Layers whose initial states are the intention; the others start from a learned state that all sequences share."""
     intention_dimensions: int | None = 16
     """Gaussian numbers that make an intention (`LatentTable`); None: the initial states themselves, as in the paper (`FreeTable`)."""
-    intention_cost: float = 0.01
+    intention_cost: float = 0.005
     """Charge while training for what an intention tells (a nat), or, where it is free, for its squared size: the walls of its room."""
     intention_noise: float = 0.0
     """Standard deviation of the noise on a free intention while training."""

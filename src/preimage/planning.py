@@ -34,6 +34,8 @@ class PlanConfig(RegressionConfig):
     """Steps imagined, T_max; by default as many as the longest demonstration has."""
     delay_penalty: float = 1.01
     """Factor a step on the goal error when the arrival step is chosen (section II-D)."""
+    rests: bool = True
+    """Whether the goal is to be stayed in; without, it is enough to pass through it, as in the paper."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +91,7 @@ def plan(
     config = config or PlanConfig()
     start = start or home(model)
     wanted = goal_inputs(model, goal, config.modalities)
-    objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty)
+    objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests)
     if library is None or not library.begins_at(objective.start):
         library = imagine_library(model, start, config=config)
 
@@ -128,7 +130,7 @@ def imagine_without_goal(model: PDVMRNN, start: Percept, *, config: PlanConfig |
     with torch.no_grad():
         inputs = as_inputs(model, start, name="start")
         imagined = imagine(model, intention, inputs, num_steps=num_steps, precision=config.precision)
-    error = ToGoal(inputs, inputs, config.modalities, config.delay_penalty).start_error(imagined)
+    error = ToGoal(inputs, inputs).start_error(imagined)
     searched = {"errors": np.zeros(0), "stopped": Stopped.ITERATIONS, "seconds": time.perf_counter() - began}
     return plan_of(model, imagined, intention, num_steps - 1, start=start, goal=Percept(), error=float(error), **searched)
 

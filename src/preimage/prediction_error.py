@@ -82,14 +82,26 @@ def arrival_step(goal_error: Float[Tensor, "B T"], *, delay_penalty: float) -> I
     return (goal_error.detach() * delay_penalty**steps).argmin(1)
 
 
+def resting_error(goal_error: Float[Tensor, "B T"]) -> Float[Tensor, "B T"]:
+    """The mean of the goal error over a step and all that follow: what it is to arrive there and stay.
+
+    >>> resting_error(torch.tensor([[9.0, 0.0, 6.0, 3.0]])).tolist()
+    [[4.5, 3.0, 4.5, 3.0]]
+    """
+    num_later = torch.arange(goal_error.shape[1], 0, -1, device=goal_error.device)
+    return goal_error.flip(1).cumsum(1).flip(1) / num_later
+
+
 @dataclass(frozen=True, eq=False)
 class ToGoal:
-    """Equation 2: the first percept as observed, the goal at the step that shows it best."""
+    """Equation 2: the first percept as observed, the goal at the step that shows it best, and, where it rests, from then on."""
 
     start: Sensed
     goal: Sensed
-    modalities: Modalities
-    delay_penalty: float
+    modalities: Modalities = "vision"
+    delay_penalty: float = 1.01
+    rests: bool = True
+    """Whether the goal is to be stayed in. In passing, a hand above the table can look like one on it."""
 
     def start_error(self, generated: Generated) -> Float[Tensor, " B"]:
         """The start's part: the first predicted percept against the one observed, both modalities."""
@@ -102,7 +114,8 @@ class ToGoal:
         pixels, codes = self.goal
         visual = VISUAL_WEIGHT * visual_error(generated.pixels, pixels)
         felt = proprioceptive_error(generated.log_codes, codes)
-        return {"vision": visual, "joints": felt, "both": visual + felt}[self.modalities]
+        error = {"vision": visual, "joints": felt, "both": visual + felt}[self.modalities]
+        return resting_error(error) if self.rests else error
 
     def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
         """The prediction error and the arrival step. The delay penalty picks the step; it does not enter the error."""
@@ -112,18 +125,22 @@ class ToGoal:
 
     def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
         """The same error at given arrival steps, as residuals."""
-        pixels, log_codes = generated.pixels, generated.log_codes
-        rows = torch.arange(len(pixels), device=pixels.device)
-        parts = [visual_residuals(pixels[:, 0], self.start[0]), proprioceptive_residuals(log_codes[:, 0], self.start[1])]
-        if self.modalities != "joints":
-            parts.append(visual_residuals(pixels[rows, aims], self.goal[0]))
-        if self.modalities != "vision":
-            parts.append(proprioceptive_residuals(log_codes[rows, aims], self.goal[1]))
+        num_steps = generated.pixels.shape[1]
+        steps = torch.arange(num_steps, device=aims.device)
+        counts = steps >= aims[:, None] if self.rests else steps == aims[:, None]
+        shares = (counts / counts.sum(1, keepdim=True)).sqrt().to(generated.pixels.dtype)  # (B, T)
+        visual = visual_residuals(generated.pixels, self.goal[0]) * shares[..., None, None, None]
+        felt = proprioceptive_residuals(generated.log_codes, self.goal[1]) * shares[..., None, None]
+        parts = [
+            visual_residuals(generated.pixels[:, 0], self.start[0]),
+            proprioceptive_residuals(generated.log_codes[:, 0], self.start[1]),
+        ]
+        parts += {"vision": [visual], "joints": [felt], "both": [visual, felt]}[self.modalities]
         return torch.cat([part.flatten(1) for part in parts], dim=1)
 
-    def steps_until(self, aims: Int[Tensor, " B"]) -> int:
-        """Up to the latest arrival."""
-        return int(aims.max()) + 1
+    def steps_until(self, aims: Int[Tensor, " B"]) -> int | None:
+        """Up to the latest arrival, where nothing after it counts."""
+        return None if self.rests else int(aims.max()) + 1
 
 
 @dataclass(frozen=True, eq=False)
