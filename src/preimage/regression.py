@@ -31,7 +31,7 @@ class RegressionConfig:
 
     method: Literal["leap", "descend"] = "leap"
     """leap: Gauss-Newton, for intentions of few numbers; descend: Adam on the gradient through time, the paper's."""
-    candidates: int = 4
+    candidates: int = 6
     """Intentions regressed side by side."""
     iterations: int | None = None
     """Iterations at the most; by default 12 leaps or 60 steps of Adam."""
@@ -41,7 +41,7 @@ class RegressionConfig:
     """How far each number is changed to see what it does; only where leaping."""
     dimensions: int | None = 32
     """Directions that are searched, those in which the training intentions differ most; None: the numbers of the intention as they are."""
-    intention_cost: float = 0.01
+    intention_cost: float = 0.001
     """Charge for the squared size of the intention: unlikely ways to a goal cost more than likely ones."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
     """Precision of the layers' arithmetic while searching."""
