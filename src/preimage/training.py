@@ -34,7 +34,7 @@ from preimage.whole_file import whole_file
 class TrainConfig:
     """How the network learns."""
 
-    updates: int = 2200
+    updates: int = 1700
     """Number of updates of weights and intentions."""
     batch_size: int = 10
     """Demonstrations an update."""
