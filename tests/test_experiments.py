@@ -8,7 +8,7 @@ import pytest
 
 from preimage.experiments import Cell, cells_of, goals_of, principal_plane, rank_correlation, reproduce
 from preimage.records import Demonstration
-from preimage.report import write_results
+from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS
 
 
@@ -51,6 +51,12 @@ def test_a_cell_from_nothing_to_the_page_and_not_twice(tmp_path) -> None:
     assert told == [f"{cell.name}: done before"]
     page = write_results(tmp_path / "results", tmp_path / "results.md").read_text()
     assert f"{closed['success']}/2" in page
+    readme = tmp_path / "README.md"
+    readme.write_text("before <!-- results:begin -->old<!-- results:end --> after")
+    fill_readme(tmp_path / "results", readme)
+    assert "old" not in readme.read_text()
+    assert readme.read_text().startswith("before")
+    assert readme.read_text().endswith("after")
 
 
 def test_goals_are_where_the_judge_measures_from() -> None:

@@ -18,7 +18,8 @@ def make_plan(*, seed=0, goal=None, num_steps=5, arrival_step=3) -> Plan:
     frames, joints = rng.integers(0, 256, (num_steps, 8, 6, 1), np.uint8), rng.normal(size=(num_steps, 2))
     start = Percept(frames[0], joints[0])
     goal = goal or Percept(frame=frames[-1])
-    return Plan(frames, joints, arrival_step, 5.0, ("yaw", "elbow"), start, goal, 1.25, np.array([3.0, 1.25]), Stopped.CONVERGED, 0.5)
+    errors = np.array([3.0, 1.25])
+    return Plan(frames, joints, arrival_step, 5.0, ("yaw", "elbow"), start, goal, 1.25, errors, Stopped.CONVERGED, 0.5, np.arange(3.0))
 
 
 def assert_equal(one, other) -> None:

@@ -19,13 +19,13 @@ from preimage.bench import bench
 from preimage.dataset import fingerprint, load, save
 from preimage.evaluation import Evaluated, Loop, evaluate, result_of
 from preimage.execution import execute
-from preimage.experiments import SIZES, cells_of, reproduce
+from preimage.experiments import PAPER, SIZES, cells_of, reproduce
 from preimage.model import ModelConfig
 from preimage.planning import PlanConfig, plan
 from preimage.plans import load_plan, save_plan
 from preimage.provenance import provenance
 from preimage.records import Percept
-from preimage.report import figure, film, learning_curve, write_results
+from preimage.report import figure, fill_readme, film, learning_curve, write_results
 from preimage.robot import TASKS, Arm, record
 from preimage.runs import find_run, load_model, read_config, read_settings, read_shown, write_card
 from preimage.sources import find_percept
@@ -214,7 +214,8 @@ def evaluate_(
     refuse_out_of_range(config)
     model, folder = load_model(run), find_run(run)
     about = {"task": task, "model": run} | {name: read_config(folder).get(name) for name in ("size", "num_demonstrations")}
-    about |= {"seed": seed, "loop": loop, "plan": asdict(config), "provenance": provenance()}
+    about |= {"seed": seed, "loop": loop, "paper": PAPER.get(f"{task}-{about['num_demonstrations']}-{loop}")}
+    about |= {"plan": asdict(config), "provenance": provenance()}
     with bar() as progress:
         shown = progress.add_task("evaluating", total=goals)
         reached: list[bool] = []
@@ -267,14 +268,16 @@ def reproduce_(
     print(f"{len(chosen)} cells are in {out}; `preimage report` makes the page of them")
 
 
-def report_(results: Path = Path("results"), out: Path = Path("docs/results.md")) -> None:
-    """Write the page of results from the JSON files.
+def report_(results: Path = Path("results"), out: Path = Path("docs/results.md"), readme: Path = Path("README.md")) -> None:
+    """Write the page of results from the JSON files, and the table in the README.
 
     Args:
         results: folder of the JSON files.
         out: page to write.
+        readme: file whose table stands between two marks; without marks it is left alone.
     """
     print(f"wrote {write_results(results, out)}")
+    fill_readme(results, readme)
 
 
 def bench_(out: Path = Path("results/bench.json"), device: Literal["cpu", "cuda"] = "cpu", quick: bool = False) -> None:

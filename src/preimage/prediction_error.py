@@ -23,7 +23,7 @@ Modalities = Literal["vision", "joints", "both"]
 """What of a goal is used."""
 
 VISUAL_WEIGHT = 1 / 40
-"""Weight of the visual error beside the joints' KL: chosen so that both fall together (docs/log.md); the paper does not say."""
+"""Weight of the visual error beside the joints' KL: chosen so that both fall together; the paper does not say."""
 REFERENCE_PIXELS = 64 * 64
 
 

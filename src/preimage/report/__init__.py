@@ -19,6 +19,6 @@ no model, no robot.
 from preimage.report.figures import figure, learning_curve
 from preimage.report.films import film
 from preimage.report.pages import Case, page
-from preimage.report.results import write_results
+from preimage.report.results import fill_readme, write_results
 
-__all__ = ["Case", "figure", "film", "learning_curve", "page", "write_results"]
+__all__ = ["Case", "figure", "fill_readme", "film", "learning_curve", "page", "write_results"]

@@ -30,6 +30,22 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     return path
 
 
+BEGIN, END = "<!-- results:begin -->", "<!-- results:end -->"
+
+
+def fill_readme(folder: str | os.PathLike[str], readme: str | os.PathLike[str]) -> None:
+    """Writes the table of reaching between the README's marks; a README without marks stays as it is."""
+    path = Path(readme)
+    text = path.read_text() if path.exists() else ""
+    if BEGIN not in text or END not in text:
+        return
+    evaluations = [one for one in (read_result(file) for file in sorted(Path(folder).glob("*.json"))) if "loop" in one]
+    _, _, rows = reach_table(evaluations).partition("\n\n")
+    before, after = text.split(BEGIN)[0], text.split(END)[1]
+    with whole_file(path) as unfinished:
+        unfinished.write_text(f"{before}{BEGIN}\n{rows}\n{END}{after}")
+
+
 def read_result(file: Path) -> dict[str, Any]:
     try:
         return json.loads(file.read_text()) | {"file": file.name}
