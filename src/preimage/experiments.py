@@ -45,7 +45,7 @@ class Cell:
     loops: tuple[Loop, ...] = ("closed",)
     updates: int = TrainConfig().updates
     goals: int | None = None
-    """Test goals; by default as many as the paper's."""
+    """Test goals; by default as many as the paper's, and 20 for recognition and the modalities."""
 
     @property
     def name(self) -> str:
@@ -160,7 +160,9 @@ def evaluation_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration
     goals = cell.goals or TEST_GOALS[cell.task]
     policies = {}
     if loop == cell.loops[0]:  # a baseline has no loop: once is enough
-        policies["behaviour_cloning"] = clone(demonstrations, rate_hz=model.config.rate_hz, seed=cell.seed).policy_to
+        policies["behaviour_cloning"] = clone(
+            demonstrations, rate_hz=model.config.rate_hz, updates=2 * cell.updates, seed=cell.seed
+        ).policy_to
     began, reached = time.perf_counter(), [0, 0]
 
     def count(one: Any) -> None:
@@ -189,11 +191,12 @@ def training_seconds(run: Path) -> float:
     return round(sum(json.loads(line)["seconds"] for line in (run / "log.jsonl").read_text().splitlines()), 1)
 
 
-def recognition_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration], count: int = 20) -> dict[str, Any]:
+def recognition_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration]) -> dict[str, Any]:
     """Section II-C: sequences never shown are recognised from the whole of them, and regenerated in closed loop.
 
     Their error stands beside that of training sequences recognised in the same way. The map shows where the intentions lie.
     """
+    count = cell.goals or 20
     novel = record(Arm(), TASKS[cell.task], count=count, seed=2000 + cell.seed)
     found = {"training": demonstrations[:count], "novel": novel}
     recognised = {name: [recognise(model, one) for one in several] for name, several in found.items()}
@@ -234,8 +237,9 @@ def rank_correlation(intentions: np.ndarray, goals: Sequence[Sequence[float]]) -
     return round(float(np.corrcoef(np.stack(ranks))[0, 1]), 3)
 
 
-def modalities_of(cell: Cell, model: PDVMRNN, _: list[Demonstration], *, work: Path, goals: int = 20) -> dict[str, Any]:
+def modalities_of(cell: Cell, model: PDVMRNN, _: list[Demonstration], *, work: Path) -> dict[str, Any]:
     """Section II-D: the goal given in vision only, joints only or both; the error of each modality at arrival, given or not."""
+    goals = cell.goals or 20
     rows: dict[str, Any] = {}
     shown = read_shown(work / "runs" / cell.name)
     for modalities in ("vision", "joints", "both"):

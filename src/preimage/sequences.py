@@ -36,17 +36,6 @@ def at_rate(demonstration: Demonstration, rate_hz: float) -> Demonstration:
     return replace(demonstration, frames=demonstration.frames[steps], joints=demonstration.joints[steps], rate_hz=rate_hz)
 
 
-def beginnings(demonstrations: Sequence[Demonstration], shares: Sequence[float]) -> list[Demonstration]:
-    """The first part of every demonstration, for each share of its steps: who goes somewhere passes places where one could stay as well.
-
-    >>> demonstration = Demonstration(np.zeros((10, 4, 4, 1), np.uint8), np.arange(10.0)[:, None], 10.0, ("yaw",))
-    >>> [len(one) for one in beginnings([demonstration], (0.8, 0.5))]
-    [8, 5]
-    """
-    cut = [(one, max(2, round(share * len(one)))) for share in shares for one in demonstrations]
-    return [replace(one, frames=one.frames[:steps], joints=one.joints[:steps]) for one, steps in cut]
-
-
 def sensors_of(demonstrations: Sequence[Demonstration]) -> Sensors:
     """Frame size and joints as they are in the data; every demonstration must agree."""
     first = demonstrations[0]

@@ -26,7 +26,7 @@ from preimage.model import PDVMRNN, ModelConfig
 from preimage.prediction_error import SequenceError, sequence_error
 from preimage.records import Demonstration
 from preimage.runs import write_config, write_shown, write_weights
-from preimage.sequences import Sequences, beginnings, pad, sensors_of
+from preimage.sequences import Sequences, pad, sensors_of
 from preimage.whole_file import whole_file
 
 
@@ -34,7 +34,7 @@ from preimage.whole_file import whole_file
 class TrainConfig:
     """How the network learns."""
 
-    updates: int = 1700
+    updates: int = 1400
     """Number of updates of weights and intentions."""
     batch_size: int = 10
     """Demonstrations an update."""
@@ -50,8 +50,6 @@ class TrainConfig:
     """Largest norm of the weights' gradient; longer ones are shortened to it."""
     open_loop_share: float = 0.0
     """Share of the sensed percept in the network's input: 0 closed loop, 1 open loop."""
-    beginnings: tuple[float, ...] = (0.8, 0.65)
-    """Shares of each demonstration whose end, too, is learned as a goal to rest in: places between the demonstrations' own goals."""
     rest_steps: int = 30
     """Steps of rest after a demonstration's end that count: the arm learns to stay at the goal."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
@@ -126,8 +124,7 @@ def train(
     """
     model_config, config = model_config or ModelConfig.small(), config or TrainConfig()
     model_config = replace(model_config, rate_hz=min([model_config.rate_hz, *(one.rate_hz for one in demonstrations)]))
-    several = [*demonstrations, *beginnings(demonstrations, config.beginnings)]
-    sequences = pad(several, rate_hz=model_config.rate_hz, rest_steps=config.rest_steps)
+    sequences = pad(demonstrations, rate_hz=model_config.rate_hz, rest_steps=config.rest_steps)
     model = PDVMRNN(model_config, sensors_of(demonstrations), len(sequences), config.seed)
     start_from(model, sequences)
     learner = Learner(model, optimiser_of(model, config))
