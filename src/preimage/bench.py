@@ -118,14 +118,15 @@ def timed_training(work: Work, place: torch.device, limits: dict[str, float], te
     seconds = fastest(once, place, repeats)
     cpu_seconds = (time.process_time() - cpu) / (repeats + 2)
     seq_steps = work.batch * work.steps
-    gflops = 3 * flops_of_step(model) * seq_steps / seconds / 1e9
+    gflop_per_seq_step = 3 * flops_of_step(model) / 1e9
+    gflops = gflop_per_seq_step * seq_steps / seconds
     limit = limits["bf16" if work.dtype == torch.bfloat16 else "fp32"]
     told = {
         "weights": sum(p.numel() for n, p in model.named_parameters() if not n.startswith("intention_table.")),
         "batch": work.batch,
         "steps": work.steps,
         "precision": str(work.dtype).removeprefix("torch."),
-        "gflop_per_seq_step": round(3 * flops_of_step(model) / 1e9, 4),
+        "gflop_per_seq_step": round(gflop_per_seq_step, 4),
         "seq_steps_per_s": round(seq_steps / seconds, 1),
         "seq_steps_per_cpu_s": round(seq_steps / cpu_seconds, 1),
         "gflops": round(gflops, 1),

@@ -27,10 +27,14 @@ VISUAL_WEIGHT = 1 / 40
 REFERENCE_PIXELS = 64 * 64
 
 
+def pixel_scale(frames: Float[Tensor, "*batch C H W"]) -> float:
+    """What a pixel counts, so that all frames count as if they had 64x64 of them."""
+    return REFERENCE_PIXELS / frames.shape[-3:].numel()
+
+
 def visual_error(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "*batch"]:
     """Squared error summed over pixels, as of a frame of 64x64."""
-    scale = REFERENCE_PIXELS / (target.shape[-3] * target.shape[-2] * target.shape[-1])
-    return scale * (predicted - target).square().sum((-1, -2, -3))
+    return pixel_scale(target) * (predicted - target).square().sum((-1, -2, -3))
 
 
 def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Float[Tensor, "*#batch J K"]) -> Float[Tensor, "*batch"]:
@@ -40,8 +44,7 @@ def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Flo
 
 def visual_residuals(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "..."]:
     """Numbers whose squares sum to the weighted visual error."""
-    scale = VISUAL_WEIGHT * REFERENCE_PIXELS / (target.shape[-3] * target.shape[-2] * target.shape[-1])
-    return scale**0.5 * (predicted - target)
+    return (VISUAL_WEIGHT * pixel_scale(target)) ** 0.5 * (predicted - target)
 
 
 def proprioceptive_residuals(

@@ -18,8 +18,8 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     Raises:
         ValueError: the folder holds no evaluation, or a file that is no result.
     """
-    found = [read_result(file) for file in sorted(Path(folder).glob("*.json"))]
-    evaluations = [one for one in found if {"task", "success", "loop", "seconds_per_plan", "baselines"} <= one.keys()]
+    found = read_results(folder)
+    evaluations = evaluations_among(found)
     if not evaluations:
         raise ValueError(f"{folder} holds no evaluation: write one with `preimage evaluate` or `preimage reproduce`")
     parts = [HEAD, reach_table(evaluations), tasks_table(evaluations), grasps_table(evaluations), recognition_table(found)]
@@ -39,11 +39,20 @@ def fill_readme(folder: str | os.PathLike[str], readme: str | os.PathLike[str]) 
     text = path.read_text() if path.exists() else ""
     if BEGIN not in text or END not in text:
         return
-    evaluations = [one for one in (read_result(file) for file in sorted(Path(folder).glob("*.json"))) if "loop" in one]
-    _, _, rows = reach_table(evaluations).partition("\n\n")
+    _, _, rows = reach_table(evaluations_among(read_results(folder))).partition("\n\n")
     before, after = text.split(BEGIN)[0], text.split(END)[1]
     with whole_file(path) as unfinished:
         unfinished.write_text(f"{before}{BEGIN}\n{rows}\n{END}{after}")
+
+
+def read_results(folder: str | os.PathLike[str]) -> Results:
+    """All results of a folder, in the order of their names."""
+    return [read_result(file) for file in sorted(Path(folder).glob("*.json"))]
+
+
+def evaluations_among(found: Results) -> Results:
+    """Those that count trials."""
+    return [one for one in found if {"task", "success", "loop", "seconds_per_plan", "baselines"} <= one.keys()]
 
 
 def read_result(file: Path) -> dict[str, Any]:
