@@ -1,6 +1,5 @@
 """The verbs of the command line. Exit codes: 0 done, 1 the work failed or was interrupted, 2 the words are off."""
 
-import json
 import math
 import sys
 from collections.abc import Callable
@@ -31,7 +30,7 @@ from preimage.runs import find_run, load_model, read_config, read_settings, read
 from preimage.sources import find_percept
 from preimage.training import NonFinite, TrainConfig, train
 from preimage.training import Progress as Told
-from preimage.whole_file import whole_file
+from preimage.whole_file import write_json
 
 console = Console(stderr=True)
 LEAST = {
@@ -227,8 +226,7 @@ def evaluate_(
         shown_before = read_shown(folder)
         evaluated = evaluate(model, Arm(), TASKS[task], goals=goals, seed=seed, shown=shown_before, config=config, loop=loop, progress=tell)
     result = result_of(evaluated, about)
-    with whole_file(out) as path:
-        path.write_text(json.dumps(result, indent=2) + "\n")
+    write_json(out, result)
     print(summary("preimage", result))
     for name, baseline in result["baselines"].items():
         print(summary(name, baseline))
@@ -291,8 +289,7 @@ def bench_(out: Path = Path("results/bench.json"), device: Literal["cpu", "cuda"
     if device == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device is cuda, and there is none on this machine: give cpu")
     result = bench(device=device, quick=quick) | {"provenance": provenance()}
-    with whole_file(out) as path:
-        path.write_text(json.dumps(result, indent=2) + "\n")
+    write_json(out, result)
 
 
 def summary(name: str, counted: dict[str, Any]) -> str:

@@ -1,6 +1,5 @@
 """The bundled model, let loose: plans to goals it never saw, executed, filmed and counted."""
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,7 @@ from preimage.evaluation import Evaluated, evaluate, result_of
 from preimage.report import Case, figure, film, page
 from preimage.robot import TASKS, Arm
 from preimage.runs import find_run, load_model, read_config, read_shown
-from preimage.whole_file import whole_file
+from preimage.whole_file import write_json
 
 
 @dataclass(frozen=True)
@@ -39,8 +38,7 @@ def run(name: str, *, goals: int, seed: int, out: Path, progress: Callable[[], N
     about = {"task": name, "model": name, "seed": seed, "loop": "closed"}
     about |= {key: read_config(folder).get(key) for key in ("size", "num_demonstrations")}
     result = result_of(evaluated, about)
-    with whole_file(out / "result.json") as path:
-        path.write_text(json.dumps(result, indent=2) + "\n")
+    write_json(out / "result.json", result)
     written = page(result, cases, out / "report.html", title=f"preimage: {name}")
     counted = f"{result['success']} of {result['goals']} goals reached"
     return Report(written, (*lines, counted))

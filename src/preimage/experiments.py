@@ -8,7 +8,7 @@ seed draws the first weights, the batches and, as 1000 + seed, the test goals. S
 import json
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from preimage.records import Demonstration
 from preimage.robot import TASKS, Arm, record
 from preimage.runs import load_model, read_config, read_shown, write_card
 from preimage.training import Progress, TrainConfig, train
-from preimage.whole_file import whole_file
+from preimage.whole_file import write_json
 
 SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.paper}
 TEST_GOALS = {"reach": 40, "two-points": 40, "move-object": 50, "two-circles": 50}
@@ -97,7 +97,7 @@ def reproduce(cells: Sequence[Cell], *, work: Path, out: Path, tell: TELL, progr
         model = model_of(cell, demonstrations, work, tell, progress)
         for name, job in missing.items():
             tell(f"{cell.name}: {name}")
-            write(out / f"{cell.name}-{name}.json", job(model, demonstrations))
+            write_json(out / f"{cell.name}-{name}.json", job(model, demonstrations))
 
 
 Job = Callable[[PDVMRNN, list[Demonstration]], dict[str, Any]]
@@ -252,8 +252,3 @@ def modalities_of(cell: Cell, model: PDVMRNN, _: list[Demonstration], *, work: P
             "joint_error_rad_mean": round(float(np.mean([np.abs(p.joints[t] - goal.joints).mean() for p, t, goal in arrived])), 4),
         }
     return asdict(cell) | {"seed": 3000 + cell.seed, "modalities": rows, "provenance": provenance()}
-
-
-def write(path: Path, result: Mapping[str, Any]) -> None:
-    with whole_file(path) as unfinished:
-        unfinished.write_text(json.dumps(result, indent=2) + "\n")

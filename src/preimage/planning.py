@@ -30,6 +30,8 @@ class PlanConfig(RegressionConfig):
 
     modalities: Modalities = "vision"
     """The modalities of the goal that are used; the rest of a goal percept is not looked at."""
+    guesses: int = 8
+    """First guesses that are imagined; the best of them, `candidates`, are regressed."""
     horizon: int | None = None
     """Steps imagined, T_max; by default as many as the longest demonstration has."""
     delay_penalty: float = 1.01
@@ -99,8 +101,10 @@ def plan(
         return imagine(model, intention, objective.start, num_steps=num_steps or horizon_of(model, config), precision=config.precision)
 
     space = model.intention_table.space(config.dimensions)
-    guesses = first_guesses(library, objective, space.training, count=config.candidates)
-    found = regress_intention(space, guesses, from_start, objective, config=config)
+    guesses = first_guesses(library, objective, space.training, count=max(config.guesses, config.candidates))
+    with torch.no_grad():
+        nearest = objective.errors(from_start(space.intention(guesses)))[0].argsort()[: config.candidates]
+    found = regress_intention(space, guesses[nearest], from_start, objective, config=config)
     with torch.no_grad():
         imagined = from_start(found.best)
         error, arrival = objective.errors(imagined)

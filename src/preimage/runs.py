@@ -27,7 +27,7 @@ from safetensors.torch import save as to_bytes
 
 from preimage.model import PDVMRNN, ModelConfig, Sensors
 from preimage.records import Demonstration, Shown
-from preimage.whole_file import whole_file
+from preimage.whole_file import whole_file, write_json
 
 Record = TypeVar("Record")
 
@@ -55,8 +55,7 @@ def write_config(folder: Path, model: PDVMRNN, about: Mapping[str, Any]) -> None
     """Write config.json: what builds the network again, and what is to be known about the run."""
     num_sequences = len(model.intention_table)
     config = {"model": asdict(model.config), "sensors": asdict(model.sensors), "num_sequences": num_sequences, **about}
-    with whole_file(folder / "config.json") as path:
-        path.write_text(json.dumps(config, indent=2) + "\n")
+    write_json(folder / "config.json", config)
 
 
 def write_weights(folder: Path, model: PDVMRNN, dtype: torch.dtype = torch.float32) -> None:

@@ -27,7 +27,7 @@ from preimage.prediction_error import SequenceError, sequence_error
 from preimage.records import Demonstration
 from preimage.runs import write_config, write_shown, write_weights
 from preimage.sequences import Sequences, pad, sensors_of
-from preimage.whole_file import whole_file
+from preimage.whole_file import whole_file, write_json
 
 
 @dataclass(frozen=True)
@@ -241,8 +241,7 @@ def refuse_non_finite(learner: Learner, error: SequenceError, charge: Tensor, no
     name = next(broken, "the norm of the gradient")
     text = f"{name} is not finite at update {learner.update + 1}: a lower learning rate or precision float32 would do"
     if run:
-        with whole_file(run / "non_finite.json") as path:
-            path.write_text(json.dumps({"update": learner.update + 1, "tensor": name}))
+        write_json(run / "non_finite.json", {"update": learner.update + 1, "tensor": name})
     raise NonFinite(text)
 
 

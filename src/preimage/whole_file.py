@@ -1,9 +1,11 @@
 """Files that are either there as a whole or not there: written beside their place, then moved into it."""
 
+import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 
 @contextmanager
@@ -23,3 +25,9 @@ def whole_file(path: Path) -> Iterator[Path]:
         raise OSError(f"{path} could not be written ({reason}); what was saved before is kept") from error
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Writes JSON that a person can read, as a whole or not at all."""
+    with whole_file(path) as unfinished:
+        unfinished.write_text(json.dumps(content, indent=2) + "\n")

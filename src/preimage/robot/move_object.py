@@ -29,7 +29,7 @@ from preimage.robot.task import (
     Judgement,
     apart_m,
     at_height,
-    is_inside_margin,
+    in_reach_at,
     lay_out,
     places_on_grid,
     sample_place,
@@ -118,10 +118,7 @@ class MoveObject:
 
     def is_in_reach(self, places_m: Float[np.ndarray, "*batch 2"]) -> Bool[np.ndarray, "*batch"]:
         """Whether the hand, tilted as for a grasp, can reach these places at every height it needs."""
-        heights_m = np.linspace(GRASP_M, CARRY_M, 7)
-        joints = [grasping_joints(at_height(places_m, height_m)) for height_m in heights_m]
-        in_reach = ~np.isnan(joints).any(axis=(0, -1))
-        return in_reach & is_inside_margin(places_m, self.furniture.table_size_m, LARGE_TABLE_MARGIN_M)
+        return in_reach_at(places_m, np.linspace(GRASP_M, CARRY_M, 7).tolist(), grasping_joints, self.furniture.table_size_m)
 
     def lay_out(self, arm: Arm, scene: Scene) -> None:
         """The object stands and the circles lie in their places, the arm is at rest at its start with its hand open."""

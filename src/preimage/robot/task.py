@@ -4,7 +4,7 @@ A judge looks at the whole course of a trial, one `Witness` a moment, as some ta
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -121,6 +121,14 @@ def is_inside_margin(places_m: Float[np.ndarray, "*batch 2"], table_size_m: floa
     """Whether places keep the margin from the edge of the table."""
     x, y = np.moveaxis(places_m, -1, 0)
     return (x >= margin_m) & (x <= table_size_m - margin_m) & (np.abs(y) <= table_size_m / 2 - margin_m)
+
+
+def in_reach_at(
+    places_m: Float[np.ndarray, "*batch 2"], heights_m: Sequence[float], joints_at: Callable[[np.ndarray], np.ndarray], table_size_m: float
+) -> Bool[np.ndarray, "*batch"]:
+    """Whether inverse kinematics find joints above these places of the large table at all heights, and they keep its margin."""
+    joints = [joints_at(at_height(places_m, height_m)) for height_m in heights_m]
+    return ~np.isnan(joints).any(axis=(0, -1)) & is_inside_margin(places_m, table_size_m, LARGE_TABLE_MARGIN_M)
 
 
 def at_height(places_m: Float[np.ndarray, "*batch 2"], height_m: float) -> Float[np.ndarray, "*batch 3"]:

@@ -28,7 +28,7 @@ from preimage.robot.task import (
     Judgement,
     apart_m,
     at_height,
-    is_inside_margin,
+    in_reach_at,
     lay_out,
     places_on_grid,
     sample_place,
@@ -88,10 +88,8 @@ class ReachTwo:
 
     def is_in_reach(self, places_m: Float[np.ndarray, "*batch 2"]) -> Bool[np.ndarray, "*batch"]:
         """Whether the hand can touch the table at these places and rise above them as high as it hops."""
-        heights_m = np.linspace(TOUCH_HEIGHT_M, self.goal_height_m + HOP_HEIGHT_M[1], 7)
-        joints = [reaching_joints(at_height(places_m, height_m)) for height_m in heights_m]
-        in_reach = ~np.isnan(joints).any(axis=(0, -1))
-        return in_reach & is_inside_margin(places_m, self.furniture.table_size_m, LARGE_TABLE_MARGIN_M)
+        heights_m = np.linspace(TOUCH_HEIGHT_M, self.goal_height_m + HOP_HEIGHT_M[1], 7).tolist()
+        return in_reach_at(places_m, heights_m, reaching_joints, self.furniture.table_size_m)
 
     def lay_out(self, arm: Arm, scene: Scene) -> None:
         """The marker lies on the table and the arm is at rest at its start; the goal itself cannot be seen."""
