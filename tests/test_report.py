@@ -14,6 +14,8 @@ from PIL import Image
 import preimage.report
 from preimage.records import Percept, Plan, Scene, Stopped, Trial
 from preimage.report import Case, figure, film, learning_curve, page
+from preimage.report.charts import GROWTH, growth_chart, intention_map
+from preimage.report.figures import DOTS_PER_INCH, WIDTH_INCHES
 
 WHITE_AFTER = 255
 
@@ -290,3 +292,12 @@ def test_learning_curve_says_what_is_wrong_with_a_log(tmp_path):
 
 def test_the_example_of_the_room_runs():
     assert doctest.testmod(preimage.report).failed == 0
+
+
+def test_charts_are_pictures(tmp_path):
+    growth = {name: {"1": 0.5, "2": 1.0} for name in GROWTH}
+    places = {"training": [[0.0, 1.0], [1.0, 2.0], [2.0, 0.5]], "novel": [[0.5, 1.0]]}
+    recognition = {"map": places, "goals_m": {name: [[0.3, 0.1]] * len(several) for name, several in places.items()}}
+    for path in (growth_chart(growth, tmp_path / "growth.png"), intention_map(recognition, tmp_path / "map.png")):
+        with Image.open(path) as png:
+            assert png.width == WIDTH_INCHES * DOTS_PER_INCH

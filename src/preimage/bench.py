@@ -20,12 +20,16 @@ from preimage.model import PDVMRNN, ModelConfig, Sensors
 from preimage.planning import PlanConfig, imagine_library, plan
 from preimage.prediction_error import sequence_error
 from preimage.records import Percept
+from preimage.robot import TASKS, Arm, record
+from preimage.runs import load_model
 
 ARM = Sensors(64, 64, 1, ("yaw", "shoulder", "elbow", "wrist"), (-1.0,) * 4, (1.0,) * 4)
 PEER = Sensors(48, 64, 1, ("pan", "tilt"), (-1.0,) * 2, (1.0,) * 2)
 """Frames and joints of P-VMDNN."""
 PEER_CONFIG = ModelConfig(vision_channels=(6, 8, 8), motor_units=(16, 8, 6), top_channels=6, lateral_channels=2)
 """About P-VMDNN's 42,000 weights."""
+TIMED_SEED = 900
+"""Draws the goals whose plans are timed."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ def bench(*, device: str = "cpu", quick: bool = False, tell: Callable[[str], Non
 
     Args:
         device: cpu or cuda.
-        quick: leave out the paper's size and the growth of planning time.
+        quick: leave out the paper's size and the growth.
     """
     place = torch.device(device)
     limits = {name: limit_gflops(place, dtype) for name, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16))}
@@ -54,9 +58,10 @@ def bench(*, device: str = "cpu", quick: bool = False, tell: Callable[[str], Non
     if not quick:
         works["paper"] = Work(ModelConfig.paper(), steps=60)
     result["train"] = {name: timed_training(work, place, limits, tell, name) for name, work in works.items()}
-    result["plan"] = {"small": timed_planning(ModelConfig.small(), place, tell, "small")}
+    result["plan"] = {"small": timed_plans("reach", place, tell), "peer": timed_iterations(PEER_CONFIG, PEER, place, steps=19)}
+    tell(f"one iteration of the peer's work: {result['plan']['peer']['ms_per_iteration']} ms")
     if not quick:
-        result["plan"]["paper"] = timed_planning(ModelConfig.paper(), place, tell, "paper", dimensions=8)
+        result["plan"]["paper"] = timed_iterations(ModelConfig.paper(), ARM, place, steps=60)
         result["growth"] = growth(place, tell)
     result["peak_memory_mb"] = peak_memory_mb(place)
     return result
@@ -131,44 +136,79 @@ def timed_training(work: Work, place: torch.device, limits: dict[str, float], te
         "seq_steps_per_cpu_s": round(seq_steps / cpu_seconds, 1),
         "gflops": round(gflops, 1),
         "fraction_of_limit": round(gflops / limit, 3),
+        "peak_memory_mb": peak_memory_mb(place),
     }
     tell(f"train {name}: {told['seq_steps_per_s']} sequence steps a second, {told['fraction_of_limit']:.0%} of the limit")
     return told
 
 
-def timed_planning(
-    config: ModelConfig, place: torch.device, tell: Callable[[str], None], name: str, *, dimensions: int | None = None, **changes: Any
-) -> dict[str, Any]:
-    """A goal planned by an untrained network: it takes as long as by a trained one for as many iterations, which are told."""
-    config = replace(config, intention_dimensions=dimensions) if dimensions else config
-    model = PDVMRNN(config, ARM, 100).to(place).requires_grad_(False)
-    model.longest.fill_(changes.pop("horizon", 16))
-    rng = np.random.default_rng(0)
-    goal = Percept(rng.integers(0, 255, (ARM.height, ARM.width, ARM.channels)).astype(np.uint8))
-    search = PlanConfig(**changes)
-    cold = seconds_of(lambda: plan(model, goal=goal, config=search), place)
-    library = imagine_library(model, config=search)
-    plans = [plan(model, goal=goal, config=search, library=library) for _ in range(3)]
-    best = min(plans, key=lambda one: one.seconds)
+def timed_plans(name: str, place: torch.device, tell: Callable[[str], None], goals: int = 5) -> dict[str, Any]:
+    """Goals that a bundled model never saw: the first from nothing, then each from the request to the plan."""
+    demonstrations = record(Arm(), TASKS[name], count=goals, seed=TIMED_SEED)
+    first = demonstrations[0]
+    model: list[PDVMRNN] = []
+
+    def from_nothing() -> None:
+        model.append(load_model(name).to(place))
+        plan(model[0], start=first.first, goal=Percept(first.last.frame))
+
+    cold_s = seconds_of(from_nothing, place)
+    library = imagine_library(model[0])
+    plans = [plan(model[0], start=one.first, goal=Percept(one.last.frame), library=library) for one in demonstrations]
+    seconds, iterations = sum(one.seconds for one in plans), sum(len(one.errors) - 1 for one in plans)
     told = {
-        "cold_s": round(cold, 3),
-        "warm_s": round(best.seconds, 3),
-        "iterations": len(best.errors) - 1,
-        "ms_per_iteration": round(1000 * best.seconds / max(1, len(best.errors) - 1), 1),
-        "horizon": int(model.longest),
-        "candidates": search.candidates,
+        "cold_s": round(cold_s, 3),
+        "warm_s": round(seconds / goals, 3),
+        "warm_s_longest": round(max(one.seconds for one in plans), 3),
+        "ms_per_iteration": round(1000 * seconds / max(1, iterations), 1),
+        "iterations": iterations / goals,
+        "goals": goals,
+        "seed": TIMED_SEED,
     }
-    tell(f"plan {name}: {told['warm_s']} s, cold {told['cold_s']} s")
+    tell(f"plan {name}: {told['warm_s']} s, from nothing {told['cold_s']} s")
     return told
 
 
+def timed_iterations(config: ModelConfig, sensors: Sensors, place: torch.device, *, steps: int, iterations: int = 4) -> dict[str, Any]:
+    """Error regression by the gradient through time, the paper's way, of one intention over so many steps."""
+    search = PlanConfig(method="descend", candidates=1, guesses=1, iterations=iterations, horizon=steps)
+    model, goal = untrained(config, sensors, place)
+    library = imagine_library(model, config=search)
+    seconds = min(plan(model, goal=goal, config=search, library=library).seconds for _ in range(3))
+    return {"ms_per_iteration": round(1000 * seconds / iterations, 2), "horizon": steps, "candidates": 1}
+
+
+def untrained(config: ModelConfig, sensors: Sensors, place: torch.device, num_sequences: int = 16) -> tuple[PDVMRNN, Percept]:
+    """A network that learned nothing, which takes as long as one that did, and a frame of noise for its goal."""
+    model = PDVMRNN(config, sensors, num_sequences).to(place).requires_grad_(False)
+    frame = np.random.default_rng(0).integers(0, 255, (sensors.height, sensors.width, sensors.channels)).astype(np.uint8)
+    return model, Percept(frame)
+
+
 def growth(place: torch.device, tell: Callable[[str], None]) -> dict[str, dict[str, float]]:
-    """Seconds of a plan of so many iterations as horizon and candidates grow."""
+    """Seconds of one iteration of a plan as horizon and candidates grow, and of a training update as batch and frames do."""
     small = ModelConfig.small()
-    return {
-        "horizon": {str(n): timed_planning(small, place, tell, f"horizon {n}", horizon=n)["warm_s"] for n in (8, 16, 32)},
-        "candidates": {str(n): timed_planning(small, place, tell, f"candidates {n}", candidates=n)["warm_s"] for n in (1, 2, 4)},
+
+    def planning(**changes: Any) -> float:
+        search = PlanConfig(iterations=1, **({"horizon": 16, "candidates": 2, "guesses": 1} | changes))
+        model, goal = untrained(small, ARM, place)
+        library = imagine_library(model, config=search)
+        return min(plan(model, goal=goal, config=search, library=library).seconds for _ in range(3))
+
+    def training(batch: int = 10, size: int = 64) -> float:
+        work = Work(small, replace(ARM, height=size, width=size), batch=batch)
+        told = timed_training(work, place, {"bf16": 1.0}, lambda _: None, "")
+        return work.batch * work.steps / told["seq_steps_per_s"]
+
+    grown = {
+        "horizon": {str(n): round(planning(horizon=n), 4) for n in (8, 16, 32, 64)},
+        "candidates": {str(n): round(planning(candidates=n), 4) for n in (1, 2, 4, 8)},
+        "batch": {str(n): round(training(batch=n), 4) for n in (5, 10, 20, 40)},
+        "pixels": {str(n * n): round(training(size=n), 4) for n in (32, 64, 128)},
     }
+    for name, seconds in grown.items():
+        tell(f"growth with {name}: {', '.join(f'{n}: {s:.2f} s' for n, s in seconds.items())}")
+    return grown
 
 
 def name_of(place: torch.device) -> str:

@@ -54,7 +54,7 @@ def figure(plan: Plan, trial: Trial | None, path: str | os.PathLike[str]) -> Pat
         top=(foot_inches + curves_inches) / total, bottom=foot_inches / total,
     )  # fmt: skip
     _draw_curves(drawing, lower, strips, plan, trial)
-    return _save(drawing, path)
+    return save(drawing, path)
 
 
 def learning_curve(log_jsonl_path: str | os.PathLike[str], path: str | os.PathLike[str]) -> Path:
@@ -82,8 +82,8 @@ def learning_curve(log_jsonl_path: str | os.PathLike[str], path: str | os.PathLi
         axes.set_xlabel("updates", fontsize=10)
         axes.grid(which="major", color="#d5dae0", linewidth=0.8)
         axes.grid(which="minor", color="#eceff2", linewidth=0.5)
-        _quiet(axes)
-    return _save(drawing, path)
+        quiet(axes)
+    return save(drawing, path)
 
 
 def _draw_title(drawing: Figure, plan: Plan, trial: Trial | None, total_inches: float) -> None:
@@ -161,7 +161,7 @@ def _draw_curves(drawing: Figure, grid: GridSpec, strips: dict[str, list[int]], 
         axes.grid(color="#e6eaee", linewidth=0.7)
         axes.margins(x=0.01)
         axes.tick_params(labelbottom=row == len(strips) - 1)
-        _quiet(axes)
+        quiet(axes)
         if row == len(strips) - 1:
             axes.set_xlabel("time (s)", fontsize=10)
     assert top is not None, "a plan without joints"
@@ -194,12 +194,14 @@ def _in_unit(joints: Shaped[np.ndarray, " T"], unit: str) -> Shaped[np.ndarray, 
     return np.degrees(joints) if unit == "deg" else joints
 
 
-def _quiet(axes: Axes) -> None:
+def quiet(axes: Axes) -> None:
+    """No frame above and to the right, small numbers."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=9)
 
 
-def _save(drawing: Figure, path: str | os.PathLike[str]) -> Path:
+def save(drawing: Figure, path: str | os.PathLike[str]) -> Path:
+    """The drawing as a PNG, whole or not at all."""
     path = Path(path)
     with whole_file(path) as unfinished:
         drawing.savefig(unfinished, format="png")

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from preimage.report.charts import growth_chart, intention_map
 from preimage.whole_file import whole_file
 
 Results = Sequence[Mapping[str, Any]]
@@ -22,9 +23,10 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     evaluations = evaluations_among(found)
     if not evaluations:
         raise ValueError(f"{folder} holds no evaluation: write one with `preimage evaluate` or `preimage reproduce`")
-    parts = [HEAD, reach_table(evaluations), tasks_table(evaluations), grasps_table(evaluations), recognition_table(found)]
-    parts += [modalities_table(found), speed_table(found), cells_table(evaluations)]
     path = Path(path)
+    parts = [HEAD, reach_table(evaluations), tasks_table(evaluations), grasps_table(evaluations), recognition_table(found)]
+    parts += [maps(found, path.parent / "figures"), modalities_table(found), speed_table(found)]
+    parts += [growth_chart_of(found, path.parent / "figures"), cells_table(evaluations)]
     with whole_file(path) as unfinished:
         unfinished.write_text("\n\n".join(part for part in parts if part) + "\n")
     return path
@@ -113,6 +115,29 @@ def recognition_table(found: Results) -> str:
             rows.append([one["task"], str(one["num_demonstrations"]), f"{training:.3f}", f"{novel:.3f}", f"{one['neighbours']:.2f}"])
     head = ["task", "demonstrations", "error, training sequences", "error, novel sequences", "neighbours (rank correlation)"]
     return table("Recognition of whole sequences", head, rows)
+
+
+def maps(found: Results, folder: Path) -> str:
+    """The intention space of each recognition, coloured by goal position."""
+    parts = []
+    for one in found:
+        if "map" in one:
+            drawn = intention_map(one, folder / f"{Path(one['file']).stem}.png")
+            parts.append(
+                f"Where the intentions of {one['task']} lie: dots are training sequences, stars novel ones.\n\n"
+                f"![intentions]({folder.name}/{drawn.name})"
+            )
+    return "\n\n".join(parts)
+
+
+def growth_chart_of(found: Results, folder: Path) -> str:
+    """How the work grows."""
+    parts = []
+    for one in found:
+        if "growth" in one:
+            drawn = growth_chart(one["growth"], folder / f"{Path(one['file']).stem}.png")
+            parts.append(f"How the work grows on {one['device']}, {one['threads']} threads:\n\n![growth]({folder.name}/{drawn.name})")
+    return "\n\n".join(parts)
 
 
 def modalities_table(found: Results) -> str:
