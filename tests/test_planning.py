@@ -141,6 +141,27 @@ def test_the_best_of_several_candidates_is_returned() -> None:
     assert again.item() == pytest.approx(found.error.min().item())
 
 
+@pytest.mark.parametrize(("doubt", "searches"), [(0.0, 3), (1e9, 1)])
+def test_a_plan_in_doubt_tries_the_other_first_guesses(model: PDVMRNN, monkeypatch, doubt: float, searches: int) -> None:
+    tried = []
+
+    def counted(space, coordinates, *rest, **config):
+        tried.append(len(coordinates))
+        return regress_intention(space, coordinates, *rest, **config)
+
+    monkeypatch.setattr("preimage.planning.regress_intention", counted)
+    shown = bar(0.7)
+    plan(model, start=shown.first, goal=shown.last, config=replace(CONFIG, doubt=doubt, candidates=2, guesses=6, iterations=2))
+    assert tried == [2] * searches
+
+
+def test_what_there_is_to_explain_is_the_error_of_staying(model: PDVMRNN) -> None:
+    wanted = objective(model)
+    pixels = wanted.start[0] - wanted.goal[0]
+    assert wanted.start_to_goal == pytest.approx(float(pixels.square().sum()) * 16 / 40)  # 16x16 pixels count as 64x64
+    assert replace(wanted, goal=wanted.start, modalities="both").start_to_goal == pytest.approx(0, abs=1e-6)
+
+
 def test_one_step_prediction_is_the_open_loop(model: PDVMRNN) -> None:
     shown = bar(0.6)
     found = plan(model, start=shown.first, goal=shown.last, config=CONFIG)

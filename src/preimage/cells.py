@@ -134,13 +134,17 @@ class Gate(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, gates: Tensor, cell: Tensor) -> State:
-        units = gates.shape[1] // 4
-        opened = gates.to(cell.dtype, copy=True)
-        opened[:, : 3 * units].sigmoid_()
-        opened[:, 3 * units :].tanh_()
-        admit, keep, show, candidate = opened.split(units, dim=1)
+        units = cell.shape[1]
+        by_pixel = gates.movedim(1, -1)
+        # One block of memory per gate: with the gates side by side in every pixel each operation would stumble from pixel to pixel.
+        opened = torch.empty(4, *by_pixel.shape[:-1], units, dtype=cell.dtype, device=cell.device)
+        opened.copy_(by_pixel.unflatten(-1, (4, units)).movedim(-2, 0))
+        opened[3].mul_(2)
+        opened.sigmoid_()
+        opened[3].mul_(2).sub_(1)  # tanh x = 2 sigmoid 2x - 1, and a sigmoid is the faster of the two by far
+        admit, keep, show, candidate = opened.movedim(-1, 2)
         new_cell = torch.addcmul(keep * cell, admit, candidate)
-        squashed = new_cell.tanh()
+        squashed = (2 * new_cell).sigmoid_().mul_(2).sub_(1)
         ctx.save_for_backward(opened, cell, squashed)
         ctx.dtype = gates.dtype
         return (show * squashed).to(gates.dtype), new_cell
@@ -149,19 +153,20 @@ class Gate(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, of_hidden: Tensor, of_cell: Tensor) -> State:
         opened, cell, squashed = ctx.saved_tensors
-        units = cell.shape[1]
-        admit, keep, show, candidate = opened.split(units, dim=1)
+        admit, keep, show, candidate = opened.movedim(-1, 2)
         of_hidden = of_hidden.to(cell.dtype)
         of_cell = of_cell + torch.ops.aten.tanh_backward(of_hidden * show, squashed)
         back = torch.empty_like(opened)
-        torch.mul(of_cell, candidate, out=back[:, :units])
-        torch.mul(of_cell, cell, out=back[:, units : 2 * units])
-        torch.mul(of_hidden, squashed, out=back[:, 2 * units : 3 * units])
-        torch.mul(of_cell, admit, out=back[:, 3 * units :])
-        sigmoids, tanh = slice(0, 3 * units), slice(3 * units, None)
-        back[:, sigmoids] = torch.ops.aten.sigmoid_backward(back[:, sigmoids], opened[:, sigmoids])
-        back[:, tanh] = torch.ops.aten.tanh_backward(back[:, tanh], candidate)
-        return back.to(ctx.dtype), of_cell * keep
+        gates = back.movedim(-1, 2)
+        torch.mul(of_cell, candidate, out=gates[0])
+        torch.mul(of_cell, cell, out=gates[1])
+        torch.mul(of_hidden, squashed, out=gates[2])
+        torch.mul(of_cell, admit, out=gates[3])
+        torch.ops.aten.sigmoid_backward(back[:3], opened[:3], grad_input=back[:3])
+        torch.ops.aten.tanh_backward(back[3], opened[3], grad_input=back[3])
+        of_gates = torch.empty(*back.shape[1:-1], 4 * back.shape[-1], dtype=ctx.dtype, device=back.device)
+        of_gates.unflatten(-1, (4, -1)).movedim(-2, 0).copy_(back)
+        return of_gates.movedim(-1, 1), of_cell * keep
 
 
 def remember_at_first(bias: Tensor) -> None:

@@ -31,7 +31,9 @@ class PlanConfig(RegressionConfig):
     modalities: Modalities = "vision"
     """The modalities of the goal that are used; the rest of a goal percept is not looked at."""
     guesses: int = 8
-    """First guesses that are imagined; the best of them, `candidates`, are regressed."""
+    """First guesses that are imagined; the best of them, `candidates`, are regressed, the others while the plan is in doubt."""
+    doubt: float = 0.2
+    """A plan is in doubt while its error is above this share of the error of staying at the start."""
     horizon: int | None = None
     """Steps imagined, T_max; by default as many as the longest demonstration has."""
     delay_penalty: float = 1.01
@@ -103,8 +105,14 @@ def plan(
     space = model.intention_table.space(config.dimensions)
     guesses = first_guesses(library, objective, space.training, count=max(config.guesses, config.candidates))
     with torch.no_grad():
-        nearest = objective.errors(from_start(space.intention(guesses)))[0].argsort()[: config.candidates]
-    found = regress_intention(space, guesses[nearest], from_start, objective, config=config)
+        guesses = guesses[objective.errors(from_start(space.intention(guesses)))[0].argsort()]
+    found = None
+    for some in guesses.split(config.candidates):
+        another = regress_intention(space, some, from_start, objective, config=config)
+        found = another if found is None or another.error.min() < found.error.min() else found
+        if found.error.min() < config.doubt * objective.start_to_goal:
+            break
+    assert found is not None, "there is a first guess"
     with torch.no_grad():
         imagined = from_start(found.best)
         error, arrival = objective.errors(imagined)

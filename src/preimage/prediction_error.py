@@ -120,6 +120,13 @@ class ToGoal:
         error = {"vision": visual, "joints": felt, "both": visual + felt}[self.modalities]
         return resting_error(error) if self.rests else error
 
+    @property
+    def start_to_goal(self) -> float:
+        """The goal's part of the error of staying at the start: how much there is to be explained."""
+        pixels, codes = self.start
+        staying = Generated(pixels[None, None], codes.clamp(min=1e-12).log()[None, None])
+        return float(self.goal_error(staying)[0, 0])
+
     def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
         """The prediction error and the arrival step. The delay penalty picks the step; it does not enter the error."""
         at_every_step = self.goal_error(generated)
