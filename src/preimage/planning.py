@@ -117,7 +117,10 @@ def plan(
         imagined = from_start(found.best)
         error, arrival = objective.errors(imagined)
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
-    return plan_of(model, imagined, found.best, int(arrival), start=start, goal=goal, error=float(error), **searched)
+    made = plan_of(model, imagined, found.best, int(arrival), start=start, goal=goal, error=float(error), **searched)
+    if config.rests:
+        made.joints[made.arrival_step :] = made.joints[made.arrival_step :].mean(0)  # where it stays, without the sway of single steps
+    return made
 
 
 def plan_of(model: PDVMRNN, imagined: Generated, intention: IntentionState, arrival_step: int, **known: Any) -> Plan:
