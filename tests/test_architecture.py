@@ -12,6 +12,7 @@ ORDER = [
     "records",
     "whole_file",
     "coding",
+    "memory",
     "robot",
     "dataset",
     "cells",
@@ -34,6 +35,7 @@ ORDER = [
     "bench",
     "report",
     "demo",
+    "options",
     "cli",
 ]
 WALLS = {  # room -> what it never imports, wherever it stands

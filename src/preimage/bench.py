@@ -16,6 +16,7 @@ import torch
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
+from preimage.memory import keep_freed_memory
 from preimage.model import PDVMRNN, ModelConfig, Sensors
 from preimage.planning import PlanConfig, imagine_library, plan
 from preimage.prediction_error import sequence_error
@@ -51,6 +52,7 @@ def bench(*, device: str = "cpu", quick: bool = False, tell: Callable[[str], Non
         quick: leave out the paper's size and the growth.
     """
     place = torch.device(device)
+    keep_freed_memory()
     limits = {name: limit_gflops(place, dtype) for name, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16))}
     tell(f"limit: {limits['fp32']:.0f} GFLOP/s in float32, {limits['bf16']:.0f} in bfloat16")
     result: dict[str, Any] = {"device": name_of(place), "threads": torch.get_num_threads(), "limit_gflops": limits}

@@ -1,6 +1,5 @@
 """The verbs of the command line. Exit codes: 0 done, 1 the work failed or was interrupted, 2 the words are off."""
 
-import math
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -20,6 +19,7 @@ from preimage.evaluation import Evaluated, Loop, evaluate, result_of
 from preimage.execution import execute
 from preimage.experiments import PAPER, SIZES, cells_of, reproduce
 from preimage.model import ModelConfig
+from preimage.options import refuse_out_of_range
 from preimage.planning import PlanConfig, plan
 from preimage.plans import load_plan, save_plan
 from preimage.provenance import provenance
@@ -33,14 +33,6 @@ from preimage.training import Progress as Told
 from preimage.whole_file import write_json
 
 console = Console(stderr=True)
-LEAST = {
-    **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every", "candidates", "horizon", "dimensions"), 1),
-    "intention_dimensions": 1,
-    "intention_cost": 0,
-    **dict.fromkeys(("rest_steps", "seed", "iterations"), 0),
-}
-ABOVE_ZERO = "rate_hz", "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe"
-SHARES = "final_share", "open_loop_share"
 
 
 def bar() -> Progress:
@@ -196,7 +188,7 @@ def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.a
 
 def evaluate_(
     run: Positional[str],
-    out: Path,
+    out: Path = Path("evaluation.json"),
     task: str = "reach",
     goals: int = 100,
     seed: int = 5000,
@@ -226,7 +218,10 @@ def evaluate_(
 
         def tell(one: Evaluated) -> None:
             reached.append(one.trial.success)
-            progress.update(shown, completed=len(reached), description=f"evaluating  {sum(reached)}/{len(reached)} reached")
+            so_far = f"evaluating  {sum(reached)}/{len(reached)} reached"
+            progress.update(shown, completed=len(reached), description=so_far)
+            if not console.is_terminal and len(reached) % 10 == 0:
+                print(f"{so_far}, {goals - len(reached)} goals left", file=sys.stderr, flush=True)
 
         shown_before = read_shown(folder)
         evaluated = evaluate(model, Arm(), TASKS[task], goals=goals, seed=seed, shown=shown_before, config=config, loop=loop, progress=tell)
@@ -301,19 +296,6 @@ def summary(name: str, counted: dict[str, Any]) -> str:
     low, high = counted["interval"]
     rate = f"{counted['success']}/{counted['goals']} reached (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
     return f"{name:22s} {rate}, {counted['deviation_cm']['mean']:.2f} cm off on average"
-
-
-def refuse_out_of_range(config: ModelConfig | TrainConfig | PlanConfig) -> None:
-    """Raises ValueError where a number is too small, or none, for the work to begin."""
-    given = {name: value for name, value in asdict(config).items() if value is not None}
-    for name, value in given.items():
-        option = f"--{name.replace('_', '-')}"
-        if name in LEAST and not value >= LEAST[name]:
-            raise ValueError(f"{option} is {value}: give {LEAST[name]} or more")
-        if name in ABOVE_ZERO and not 0 < value < math.inf:
-            raise ValueError(f"{option} is {value}: give a number above 0")
-        if name in SHARES and not 0 <= value <= 1:
-            raise ValueError(f"{option} is {value}: give a share between 0 and 1")
 
 
 def known_task(task: str) -> None:

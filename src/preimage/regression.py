@@ -31,7 +31,7 @@ class RegressionConfig:
 
     method: Literal["leap", "descend"] = "leap"
     """leap: Gauss-Newton, for intentions of few numbers; descend: Adam on the gradient through time, the paper's."""
-    candidates: int = 6
+    candidates: int = 2
     """Intentions regressed side by side."""
     iterations: int | None = None
     """Iterations at the most; by default 12 leaps or 60 steps of Adam."""

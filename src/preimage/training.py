@@ -22,6 +22,7 @@ from torch import Tensor, nn
 
 from preimage.coding import to_pixels
 from preimage.intention import IntentionState, IntentionTable
+from preimage.memory import keep_freed_memory
 from preimage.model import PDVMRNN, ModelConfig
 from preimage.prediction_error import SequenceError, sequence_error
 from preimage.records import Demonstration
@@ -53,6 +54,9 @@ class TrainConfig:
     sighted_rows: int = 0
     """Sequences beside the batch that are fed the frames that were sensed, under the intention of another: there the joints can only
     follow from what is seen, and so they learn to."""
+    room_opens: float = 1.0
+    """How many times dearer than in the end an intention is at first; from then on the charge falls by an equal share every update.
+    While it is dear, what can be seen at the start is looked at; what cannot is told later."""
     rest_steps: int = 30
     """Steps of rest after a demonstration's end that count: the arm learns to stay at the goal."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
@@ -131,6 +135,7 @@ def train(
     model = PDVMRNN(model_config, sensors_of(demonstrations), len(sequences), config.seed)
     start_from(model, sequences)
     learner = Learner(model, optimiser_of(model, config))
+    keep_freed_memory()
     run = open_run(Path(folder), learner, config, about or {}, resume) if folder is not None else None
     if run and not resume:
         write_shown(run, demonstrations)
@@ -213,7 +218,8 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
-    ((error.total + model.config.intention_cost * charge).mean() + sighted).backward()
+    cost = model.config.intention_cost * config.room_opens ** (1 - learner.update / config.updates)
+    ((error.total + cost * charge).mean() + sighted).backward()
     norm = nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], config.gradient_norm)
     refuse_non_finite(learner, error, charge, norm, run)
     optimiser.step()

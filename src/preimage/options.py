@@ -1,0 +1,31 @@
+"""What may be asked for on the command line: the numbers with which the work can begin."""
+
+import math
+from dataclasses import asdict
+
+from preimage.model import ModelConfig
+from preimage.planning import PlanConfig
+from preimage.training import TrainConfig
+
+LEAST = {
+    **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every", "candidates", "guesses", "horizon", "dimensions"), 1),
+    "intention_dimensions": 1,
+    "intention_cost": 0,
+    "doubt": 0,
+    **dict.fromkeys(("rest_steps", "sighted_rows", "seed", "iterations"), 0),
+}
+ABOVE_ZERO = "rate_hz", "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe"
+SHARES = "final_share", "open_loop_share"
+
+
+def refuse_out_of_range(config: ModelConfig | TrainConfig | PlanConfig) -> None:
+    """Raises ValueError where a number is too small, or none, for the work to begin."""
+    given = {name: value for name, value in asdict(config).items() if value is not None}
+    for name, value in given.items():
+        option = f"--{name.replace('_', '-')}"
+        if name in LEAST and not value >= LEAST[name]:
+            raise ValueError(f"{option} is {value}: give {LEAST[name]} or more")
+        if name in ABOVE_ZERO and not 0 < value < math.inf:
+            raise ValueError(f"{option} is {value}: give a number above 0")
+        if name in SHARES and not 0 <= value <= 1:
+            raise ValueError(f"{option} is {value}: give a share between 0 and 1")
