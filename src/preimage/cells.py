@@ -85,6 +85,8 @@ def stepwise(layer: Map, dtype: torch.dtype) -> Step:
     assert layer.bias is not None
     tape: Tape | None = [] if torch.is_grad_enabled() and layer.weight.requires_grad else None
     weight, bias = Weights.apply(layer.weight, layer.bias, layer, dtype, tape)  # pyright: ignore[reportGeneralTypeIssues]
+    if not torch.is_grad_enabled():
+        return lambda inputs: layer.value(inputs, weight, bias)
     return lambda inputs: MapStep.apply(inputs, weight, bias, layer, tape)  # pyright: ignore[reportReturnType]
 
 
