@@ -31,10 +31,12 @@ from preimage.whole_file import write_json
 SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.paper}
 TEST_GOALS = {"reach": 40, "two-points": 40, "move-object": 50, "two-circles": 50}
 """As many as the paper's; two circles are a row of our own."""
-SEEN_AT_START: dict[str, Any] = {"intention_layers": ("top",), "intention_cost": 0.2}
-"""Little room for the intention: what can be seen at the start is to be looked at, not remembered."""
-ROOM: dict[str, dict[str, Any]] = {"reach": {}} | dict.fromkeys(("two-points", "move-object", "two-circles"), SEEN_AT_START)
+LITTLE_ROOM: dict[str, Any] = {"intention_layers": ("top",), "intention_dimensions": 8, "intention_cost": 0.1}
+"""For scenes of which most can be seen at the start: it is to be looked at, not remembered."""
+ROOM: dict[str, dict[str, Any]] = {"reach": {}} | dict.fromkeys(("two-points", "move-object", "two-circles"), LITTLE_ROOM)
 """What a task changes in the sizes' own settings."""
+LEARNING: dict[str, dict[str, Any]] = {task: {} if task == "reach" else {"updates": 1500, "sighted_rows": 0} for task in ROOM}
+"""What a task changes in the training's own settings."""
 TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5000, 6000, 7000
 """To these a cell's seed is added: the seeds of what its model was never shown."""
 TELL = Callable[[str], None]
@@ -49,7 +51,8 @@ class Cell:
     seed: int = 0
     size: str = "small"
     loops: tuple[Loop, ...] = ("closed",)
-    updates: int = TrainConfig().updates
+    updates: int | None = None
+    """By default as many as the task asks for."""
     goals: int | None = None
     """Test goals; by default as many as the paper's, and 20 for recognition and the modalities."""
 
@@ -133,7 +136,7 @@ def model_of(
 ) -> PDVMRNN:
     """The cell's trained model; a training that was stopped goes on."""
     run = work / "runs" / cell.name
-    config = TrainConfig(seed=cell.seed, updates=cell.updates)
+    config = learning_of(cell)
     if (run / "resume.pt").exists():
         refuse_other_run(run, demonstrations, config)
     elif run.exists():
@@ -155,6 +158,12 @@ def model_of(
     return load_model(run)
 
 
+def learning_of(cell: Cell) -> TrainConfig:
+    """How the cell's model learns."""
+    config = TrainConfig(seed=cell.seed, **LEARNING[cell.task])
+    return config if cell.updates is None else replace(config, updates=cell.updates)
+
+
 def refuse_other_run(run: Path, demonstrations: list[Demonstration], config: TrainConfig) -> None:
     """Raises ValueError where a run was made from other demonstrations or with other settings than are asked for."""
     started = read_config(run)
@@ -168,7 +177,7 @@ def evaluation_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration
     policies = {}
     if loop == cell.loops[0]:  # a baseline has no loop: once is enough
         policies["behaviour_cloning"] = clone(
-            demonstrations, rate_hz=model.config.rate_hz, updates=2 * cell.updates, seed=cell.seed
+            demonstrations, rate_hz=model.config.rate_hz, updates=2 * learning_of(cell).updates, seed=cell.seed
         ).policy_to
     began, reached = time.perf_counter(), [0, 0]
 
