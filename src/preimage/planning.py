@@ -32,7 +32,7 @@ class PlanConfig(RegressionConfig):
     """The modalities of the goal that are used; the rest of a goal percept is not looked at."""
     guesses: int = 8
     """First guesses that are imagined; the best of them, `candidates`, are regressed, the others while the plan is in doubt."""
-    doubt: float = 0.2
+    doubt: float = 0.15
     """A plan is in doubt while its error is above this share of the error of staying at the start."""
     horizon: int | None = None
     """Steps imagined, T_max; by default as many as the longest demonstration has."""

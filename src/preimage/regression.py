@@ -34,7 +34,7 @@ class RegressionConfig:
     candidates: int = 1
     """Intentions regressed side by side."""
     iterations: int | None = None
-    """Iterations at the most; by default 6 leaps or 60 steps of Adam."""
+    """Iterations at the most; by default 12 leaps or 60 steps of Adam."""
     learning_rate: float = 0.05
     """Adam's rate, in units of the intention space; only where descending."""
     probe: float = 0.15
@@ -48,7 +48,7 @@ class RegressionConfig:
 
     @property
     def most_iterations(self) -> int:
-        return self.iterations if self.iterations is not None else {"leap": 6, "descend": 60}[self.method]
+        return self.iterations if self.iterations is not None else {"leap": 12, "descend": 60}[self.method]
 
 
 @runtime_checkable
