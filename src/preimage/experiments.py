@@ -31,11 +31,11 @@ from preimage.whole_file import write_json
 SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.paper}
 TEST_GOALS = {"reach": 40, "two-points": 40, "move-object": 50, "two-circles": 50}
 """As many as the paper's; two circles are a row of our own."""
-LITTLE_ROOM: dict[str, Any] = {"intention_layers": ("top",), "intention_dimensions": 8, "intention_cost": 0.1}
+LITTLE_ROOM: dict[str, Any] = {"intention_layers": ("top",), "intention_dimensions": 8, "intention_cost": 0.2}
 """For scenes of which most can be seen at the start: it is to be looked at, not remembered."""
 ROOM: dict[str, dict[str, Any]] = {"reach": {}} | dict.fromkeys(("two-points", "move-object", "two-circles"), LITTLE_ROOM)
 """What a task changes in the sizes' own settings."""
-LEARNING: dict[str, dict[str, Any]] = {task: {} if task == "reach" else {"updates": 1500, "sighted_rows": 0} for task in ROOM}
+LEARNING: dict[str, dict[str, Any]] = {task: {} if task == "reach" else {"updates": 1300} for task in ROOM}
 """What a task changes in the training's own settings."""
 TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5000, 6000, 7000
 """To these a cell's seed is added: the seeds of what its model was never shown."""
