@@ -45,7 +45,7 @@ def demo(task: str = "reach", goals: int = 5, seed: int = 7, out: Path = Path("d
     """Let the bundled model plan to goals it never saw, execute the plans, and show films and a report.
 
     Args:
-        task: which of the bundled models: reach, two-points or move-object.
+        task: which of the bundled models: reach or move-object.
         goals: how many goals.
         seed: draws the goals.
         out: folder for films, figures and report.html.

@@ -31,7 +31,7 @@ from preimage.whole_file import whole_file, write_json
 
 Record = TypeVar("Record")
 
-BUNDLED = ("reach",)
+BUNDLED = ("reach", "move-object")
 """Names that stand for the models that come with the program."""
 
 
