@@ -160,9 +160,12 @@ def speed_table(found: Results) -> str:
                 [one["device"], f"train {name}", f"{work['seq_steps_per_s']} sequence steps/s", share, f"{work['peak_memory_mb']:.0f} MB"]
             )
         for name, work in one.get("plan", {}).items() if "limit_gflops" in one else ():
-            told = f"{work['warm_s']} s warm, {work['cold_s']} s cold"
-            rows.append([one["device"], f"plan {name}", told, f"{work['ms_per_iteration']} ms an iteration"])
-    return table("Speed", ["device", "work", "measured", "share of the machine's limit"], rows)
+            told = f"{work['ms_per_iteration']} ms an iteration"
+            if "warm_s" in work:
+                spread = f"mean {work['warm_s_mean']}, longest {work['warm_s_longest']}"
+                told = f"{work['warm_s']} s warm ({spread}), {work['cold_s']} s cold, {told}"
+            rows.append([one["device"], f"plan {name}", told, "", ""])
+    return table("Speed", ["device", "work", "measured", "share of the machine's limit", "memory"], rows)
 
 
 def cells_table(evaluations: Results) -> str:
