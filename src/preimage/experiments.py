@@ -24,7 +24,7 @@ from preimage.planning import PlanConfig, recognise
 from preimage.provenance import provenance
 from preimage.records import Demonstration
 from preimage.robot import TASKS, Arm, record
-from preimage.runs import load_model, read_config, read_shown, write_card
+from preimage.runs import load_model, read_config, read_settings, read_shown, write_card
 from preimage.training import Progress, TrainConfig, train
 from preimage.whole_file import write_json
 
@@ -137,7 +137,7 @@ def model_of(
     """The cell's trained model; a training that was stopped goes on."""
     run = work / "runs" / cell.name
     config = learning_of(cell)
-    if (run / "resume.pt").exists():
+    if (run / "README.md").exists() or (run / "resume.pt").exists():
         refuse_other_run(run, demonstrations, config)
     elif run.exists():
         shutil.rmtree(run)  # it was stopped before its first checkpoint
@@ -166,8 +166,7 @@ def learning_of(cell: Cell) -> TrainConfig:
 
 def refuse_other_run(run: Path, demonstrations: list[Demonstration], config: TrainConfig) -> None:
     """Raises ValueError where a run was made from other demonstrations or with other settings than are asked for."""
-    started = read_config(run)
-    if (started["data"]["fingerprint"], started["train"]) != (fingerprint(demonstrations), asdict(config)):
+    if (read_config(run)["data"]["fingerprint"], read_settings(TrainConfig, run, "train")) != (fingerprint(demonstrations), config):
         raise ValueError(f"{run} was trained on other data or with other settings: remove it, or give another --work")
 
 
