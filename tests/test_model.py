@@ -100,18 +100,3 @@ def test_share_zero_is_the_closed_loop() -> None:
         model.generate_open_loop(intention, sensed, share=0.0),
         model.generate_closed_loop(intention, start_of(sensed), num_steps=4),
     )
-
-
-def test_a_share_a_sequence_and_a_modality() -> None:
-    model, sensed = network(), percepts(4)
-    intention, count = model.intention_table.intentions(), len(sensed[0])
-    ones, zeros = torch.ones(count), torch.zeros(count)
-    mixed = model.generate_open_loop(intention, sensed, share=(torch.eye(count)[0], torch.eye(count)[0]))
-    opened = model.generate_open_loop(intention, sensed)
-    closed = model.generate_closed_loop(intention, start_of(sensed), num_steps=4)
-    same(Generated(mixed.pixels[:1], mixed.log_codes[:1]), Generated(opened.pixels[:1], opened.log_codes[:1]))
-    same(Generated(mixed.pixels[1:], mixed.log_codes[1:]), Generated(closed.pixels[1:], closed.log_codes[1:]))
-    seen = model.generate_open_loop(intention, sensed, share=(ones, zeros))
-    codes = sensed[1].flip(1).contiguous()  # what is felt is not looked at
-    codes[:, 0] = sensed[1][:, 0]
-    same(seen, model.generate_open_loop(intention, (sensed[0], codes), share=(ones, zeros)))

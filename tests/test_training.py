@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from preimage.model import PDVMRNN, ModelConfig
+from preimage.model import ModelConfig
 from preimage.records import Demonstration
 from preimage.runs import load_model
-from preimage.sequences import pad, sensors_of
-from preimage.training import NonFinite, Progress, TrainConfig, errors_of, train
+from preimage.training import NonFinite, Progress, TrainConfig, train
 
 CONFIG = TrainConfig(updates=6, batch_size=2, rest_steps=2, checkpoint_every=2, precision="float32")
 
@@ -111,25 +110,3 @@ def test_bfloat16_trains_near_float32() -> None:
         train(demonstrations(), ModelConfig.tiny(), config=replace(CONFIG, precision=precision), progress=told.append)
         errors.append(told[0].visual)
     assert errors[1] == pytest.approx(errors[0], rel=0.02)
-
-
-def test_joints_learn_to_follow_what_is_seen_where_the_intention_is_anothers() -> None:
-    shown = demonstrations()
-    errors = []
-    for sighted_rows in (0, 4):
-        config = replace(CONFIG, updates=150, batch_size=4, learning_rate=1e-2, sighted_rows=sighted_rows)
-        model = train(shown, ModelConfig.tiny(), config=config)
-        sequences = pad(shown, rate_hz=model.config.rate_hz, rest_steps=2)
-        _, error = errors_of(model, model.intention_table.intentions(), sequences, torch.arange(4), replace(config, sighted_rows=4))
-        errors.append(float(error))
-    assert errors[1] < 0.5 * errors[0]
-
-
-def test_lent_intentions_learn_nothing_from_it() -> None:
-    model = PDVMRNN(ModelConfig.tiny(), sensors_of(demonstrations()), 4)
-    sequences = pad(demonstrations(), rate_hz=2.5)
-    intention, _ = model.intention_table.draw(torch.arange(4), torch.Generator().manual_seed(0))
-    _, error = errors_of(model, intention, sequences, torch.arange(4), replace(CONFIG, sighted_rows=2))
-    error.backward()
-    assert model.intention_table.mean.grad is None or not model.intention_table.mean.grad.any()
-    assert model.motors[0].gates.weight.grad.abs().max() > 0

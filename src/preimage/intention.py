@@ -40,14 +40,6 @@ class IntentionState:
     def __getitem__(self, rows: Tensor) -> "IntentionState":
         return IntentionState({name: values[rows] for name, values in self.layers.items()})
 
-    def beside(self, other: "IntentionState") -> "IntentionState":
-        """These intentions and then the other ones, of the same layers."""
-        return IntentionState({name: torch.cat([values, other.layers[name]]) for name, values in self.layers.items()})
-
-    def detached(self) -> "IntentionState":
-        """The same values, through which no gradient flows."""
-        return IntentionState({name: values.detach() for name, values in self.layers.items()})
-
     def flatten(self) -> Float[Tensor, "B D"]:
         """One row a sequence, the layers side by side."""
         return torch.cat([values.flatten(1) for values in self.layers.values()], dim=1)

@@ -312,7 +312,7 @@ class PDVMRNN(nn.Module):
         percepts: InputSequence,
         *,
         start: Inputs | None = None,
-        share: float | tuple[Float[Tensor, " B"], Float[Tensor, " B"]] = 1.0,
+        share: float = 1.0,
         dtype: torch.dtype | None = None,
     ) -> Generated:
         """Predict every percept (B, T, ...) from the sensed one before it.
@@ -320,16 +320,13 @@ class PDVMRNN(nn.Module):
         Args:
             percepts: sensed pixels (B, T, C, H, W) and codes (B, T, J, K).
             start: the first input; by default the first of the percepts, for the robot rests before it starts.
-            share: how much of the input is sensed, the rest is the network's own prediction; 0 is the closed loop. One number, or one a
-                sequence for the pixels and one for the codes.
+            share: how much of the input is sensed, the rest is the network's own prediction; 0 is the closed loop.
             dtype: precision of the layers' arithmetic; by default that of the weights.
         """
         pixels, codes = percepts
 
-        seen, felt = (share, share) if isinstance(share, float | int) else (share[0].view(-1, 1, 1, 1), share[1].view(-1, 1, 1))
-
         def mix(step: int, predicted: Inputs) -> Inputs:
-            return seen * pixels[:, step] + (1 - seen) * predicted[0], felt * codes[:, step] + (1 - felt) * predicted[1]
+            return share * pixels[:, step] + (1 - share) * predicted[0], share * codes[:, step] + (1 - share) * predicted[1]
 
         feed = mix if share else lambda step, predicted: predicted
         return self._generate(intention, start or (pixels[:, 0], codes[:, 0]), pixels.shape[1], feed, dtype)

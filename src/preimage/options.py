@@ -12,7 +12,7 @@ LEAST = {
     "intention_dimensions": 1,
     "intention_cost": 0,
     "doubt": 0,
-    **dict.fromkeys(("rest_steps", "sighted_rows", "seed", "iterations"), 0),
+    **dict.fromkeys(("rest_steps", "seed", "iterations"), 0),
 }
 ABOVE_ZERO = "rate_hz", "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe"
 SHARES = "final_share", "open_loop_share"

@@ -51,12 +51,6 @@ class TrainConfig:
     """Largest norm of the weights' gradient; longer ones are shortened to it."""
     open_loop_share: float = 0.0
     """Share of the sensed percept in the network's input: 0 closed loop, 1 open loop."""
-    sighted_rows: int = 0
-    """Sequences beside the batch that are fed the frames that were sensed, under the intention of another: there the joints can only
-    follow from what is seen, and so they learn to."""
-    room_opens: float = 1.0
-    """How many times dearer than in the end an intention is at first; from then on the charge falls by an equal share every update.
-    While it is dear, what can be seen at the start is looked at; what cannot is told later."""
     rest_steps: int = 30
     """Steps of rest after a demonstration's end that count: the arm learns to stay at the goal."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
@@ -214,12 +208,11 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     rows = batch_of(learner.update, len(sequences), config)
     generator = torch.Generator().manual_seed(config.seed * 1_000_003 + learner.update)
     intention, charge = model.intention_table.draw(rows, generator)
-    error, sighted = errors_of(model, intention, sequences, rows, config)
+    error = error_of(model, intention, sequences, rows, config)
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
-    cost = model.config.intention_cost * config.room_opens ** (1 - learner.update / config.updates)
-    ((error.total + cost * charge).mean() + sighted).backward()
+    (error.total + model.config.intention_cost * charge).mean().backward()
     norm = nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], config.gradient_norm)
     refuse_non_finite(learner, error, charge, norm, run)
     optimiser.step()
@@ -232,27 +225,12 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     return told
 
 
-def errors_of(
-    model: PDVMRNN, intention: IntentionState, sequences: Sequences, rows: Tensor, config: TrainConfig
-) -> tuple[SequenceError, Tensor]:
-    """Generate the rows of the table from their intentions and compare; and the sighted error, as much as it counts in a mean of rows.
-
-    A sighted sequence is fed the frames that were sensed, with the joints that it predicts, under the intention of another: that other
-    way is not the one it sees, so the joints can only follow from what is seen. In closed loop they then follow what is imagined.
-    """
-    count = len(rows)
-    sighted = torch.arange(min(config.sighted_rows, count))
-    others = (sighted + count // 2) % count
-    together = intention.beside(intention[others].detached())
-    every = torch.cat([rows, rows[sighted]])
-    pixels, codes = to_pixels(sequences.frames[every]), model.coding.encode(sequences.joints[every])
-    seen, felt = (torch.full((len(every),), config.open_loop_share) for _ in range(2))
-    seen[count:] = 1
-    share = (seen, felt) if len(sighted) else config.open_loop_share
-    generated = model.generate_open_loop(together, (pixels, codes), share=share, dtype=getattr(torch, config.precision))
-    error = sequence_error(generated, pixels, codes, sequences.mask[every])
-    own = SequenceError(error.visual[:count], error.proprioceptive[:count])
-    return own, error.total[count:].sum() / count
+def error_of(model: PDVMRNN, intention: IntentionState, sequences: Sequences, rows: Tensor, config: TrainConfig) -> SequenceError:
+    """Generate the rows of the table from their intentions and compare."""
+    pixels, codes = to_pixels(sequences.frames[rows]), model.coding.encode(sequences.joints[rows])
+    dtype = getattr(torch, config.precision)
+    generated = model.generate_open_loop(intention, (pixels, codes), share=config.open_loop_share, dtype=dtype)
+    return sequence_error(generated, pixels, codes, sequences.mask[rows])
 
 
 def refuse_non_finite(learner: Learner, error: SequenceError, charge: Tensor, norm: Tensor, run: Path | None) -> None:
