@@ -195,8 +195,8 @@ def growth(place: torch.device, tell: Callable[[str], None]) -> dict[str, dict[s
     """Seconds of one iteration of a plan as horizon and candidates grow, and of a training update as batch and frames do."""
     small = ModelConfig.small()
 
-    def planning(**changes: Any) -> float:
-        search = PlanConfig(iterations=1, **({"horizon": 16, "candidates": 2, "guesses": 1} | changes))
+    def planning(horizon: int = 16, candidates: int = 2) -> float:
+        search = PlanConfig(iterations=1, horizon=horizon, candidates=candidates, guesses=1)
         model, goal = untrained(small, ARM, place)
         library = imagine_library(model, config=search)
         return min(plan(model, goal=goal, config=search, library=library).seconds for _ in range(3))

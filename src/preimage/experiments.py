@@ -246,7 +246,8 @@ def rank_correlation(intentions: np.ndarray, goals: Sequence[Sequence[float]]) -
     """Spearman's correlation of the distances between intentions with the distances between goals: 1 where neighbours stay neighbours."""
 
     def distances(points: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(points[:, None] - points[None], axis=-1)[np.triu_indices(len(points), 1)]
+        all_pairs = np.asarray(np.linalg.norm(points[:, None] - points[None], axis=-1))
+        return all_pairs[np.triu_indices(len(points), 1)]
 
     ranks = [np.argsort(np.argsort(distances(np.asarray(points)))) for points in (intentions, goals)]
     return round(float(np.corrcoef(np.stack(ranks))[0, 1]), 3)
