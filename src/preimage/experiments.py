@@ -250,7 +250,8 @@ def rank_correlation(intentions: np.ndarray, goals: Sequence[Sequence[float]]) -
         return all_pairs[np.triu_indices(len(points), 1)]
 
     ranks = [np.argsort(np.argsort(distances(np.asarray(points)))) for points in (intentions, goals)]
-    return round(float(np.corrcoef(np.stack(ranks))[0, 1]), 3)
+    table = np.atleast_2d(np.corrcoef(np.stack(ranks)))
+    return round(float(table[0, 1]), 3)
 
 
 def modalities_of(cell: Cell, model: PDVMRNN, _: list[Demonstration], *, work: Path) -> dict[str, Any]:
