@@ -30,6 +30,7 @@ def test_names_in_the_documents_are_there(name):
     for part in parts:
         if is_dataclass(found) and part in {field.name for field in fields(found)}:
             return
+        assert hasattr(found, part)
         found = getattr(found, part)
 
 

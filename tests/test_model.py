@@ -22,7 +22,7 @@ def start_of(sensed: InputSequence) -> Inputs:
     return sensed[0][:, 0], sensed[1][:, 0]
 
 
-def same(one: Generated, other: Generated) -> None:
+def assert_same(one: Generated, other: Generated) -> None:
     torch.testing.assert_close(one.pixels, other.pixels)
     torch.testing.assert_close(one.log_codes, other.log_codes)
 
@@ -90,13 +90,13 @@ def test_open_loop_fed_with_closed_loop_is_closed_loop() -> None:
     intention = model.intention_table.intentions()
     imagined = model.generate_closed_loop(intention, start, num_steps=4)
     sensed = imagined.pixels, imagined.log_codes.exp()
-    same(model.generate_open_loop(intention, sensed, start=start), imagined)
+    assert_same(model.generate_open_loop(intention, sensed, start=start), imagined)
 
 
 def test_share_zero_is_the_closed_loop() -> None:
     model, sensed = network(), percepts(4)
     intention = model.intention_table.intentions()
-    same(
+    assert_same(
         model.generate_open_loop(intention, sensed, share=0.0),
         model.generate_closed_loop(intention, start_of(sensed), num_steps=4),
     )

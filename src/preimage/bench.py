@@ -29,6 +29,8 @@ PEER = Sensors(48, 64, 1, ("pan", "tilt"), (-1.0,) * 2, (1.0,) * 2)
 """Frames and joints of P-VMDNN."""
 PEER_CONFIG = ModelConfig(vision_channels=(6, 8, 8), motor_units=(16, 8, 6), top_channels=6, lateral_channels=2)
 """About P-VMDNN's 42,000 weights."""
+REPEATS = 3
+"""How often long work is timed; the fastest counts."""
 TIMED_SEED = 900
 """Draws the goals whose plans are timed."""
 
@@ -108,8 +110,8 @@ def blank(model: PDVMRNN, count: int) -> tuple[torch.Tensor, torch.Tensor]:
     return pixels.expand(count, *pixels.shape), codes.expand(count, *codes.shape)
 
 
-def timed_training(work: Work, place: torch.device, limits: dict[str, float], tell: Callable[[str], None], name: str) -> dict[str, Any]:
-    """Forward and backward of a batch; the optimiser's step is left out, it is small."""
+def update_of(work: Work, place: torch.device) -> tuple[PDVMRNN, Callable[[], None]]:
+    """A network, and the forward and backward of a batch; the optimiser's step is left out, it is small."""
     model = PDVMRNN(work.config, work.sensors, work.batch).to(place)
     start, mask = blank(model, work.batch), torch.ones(work.batch, work.steps, device=place)
     pixels, codes = (part[:, None].expand(work.batch, work.steps, *part.shape[1:]) for part in start)
@@ -120,10 +122,15 @@ def timed_training(work: Work, place: torch.device, limits: dict[str, float], te
         generated = model.generate_closed_loop(intention, start, num_steps=work.steps, dtype=work.dtype)
         (sequence_error(generated, pixels, codes, mask).total + charge).mean().backward()
 
+    return model, once
+
+
+def timed_training(work: Work, place: torch.device, limits: dict[str, float], tell: Callable[[str], None], name: str) -> dict[str, Any]:
+    """Updates of a network, beside the limit."""
+    model, once = update_of(work, place)
     cpu = time.process_time()
-    repeats = 3
-    seconds = fastest(once, place, repeats)
-    cpu_seconds = (time.process_time() - cpu) / (repeats + 2)
+    seconds = fastest(once, place, REPEATS)
+    cpu_seconds = (time.process_time() - cpu) / (REPEATS + 2)
     seq_steps = work.batch * work.steps
     gflop_per_seq_step = 3 * flops_of_step(model) / 1e9
     gflops = gflop_per_seq_step * seq_steps / seconds
@@ -150,16 +157,12 @@ def timed_plans(name: str, place: torch.device, tell: Callable[[str], None], goa
     A goal that is in doubt is searched for several times, so the median, the mean and the longest stand beside each other.
     """
     demonstrations = record(Arm(), TASKS[name], count=goals, seed=TIMED_SEED)
-    first = demonstrations[0]
-    model: list[PDVMRNN] = []
-
-    def from_nothing() -> None:
-        model.append(load_model(name).to(place))
-        plan(model[0], start=first.first, goal=Percept(first.last.frame))
-
-    cold_s = seconds_of(from_nothing, place)
-    library = imagine_library(model[0])
-    plans = [plan(model[0], start=one.first, goal=Percept(one.last.frame), library=library) for one in demonstrations]
+    began = time.perf_counter()
+    model = load_model(name).to(place)
+    plan(model, start=demonstrations[0].first, goal=Percept(demonstrations[0].last.frame))
+    cold_s = time.perf_counter() - began
+    library = imagine_library(model)
+    plans = [plan(model, start=one.first, goal=Percept(one.last.frame), library=library) for one in demonstrations]
     seconds = np.array([one.seconds for one in plans])
     fastest_plan = min(plans, key=lambda one: one.seconds)
     told = {
@@ -178,17 +181,16 @@ def timed_plans(name: str, place: torch.device, tell: Callable[[str], None], goa
 def timed_iterations(config: ModelConfig, sensors: Sensors, place: torch.device, *, steps: int, iterations: int = 4) -> dict[str, Any]:
     """Error regression by the gradient through time, the paper's way, of one intention over so many steps."""
     search = PlanConfig(method="descend", candidates=1, guesses=1, iterations=iterations, horizon=steps)
-    model, goal = untrained(config, sensors, place)
-    library = imagine_library(model, config=search)
-    seconds = min(plan(model, goal=goal, config=search, library=library).seconds for _ in range(3))
+    seconds = seconds_of_plan(config, sensors, place, search)
     return {"ms_per_iteration": round(1000 * seconds / iterations, 2), "horizon": steps, "candidates": 1}
 
 
-def untrained(config: ModelConfig, sensors: Sensors, place: torch.device, num_sequences: int = 16) -> tuple[PDVMRNN, Percept]:
-    """A network that learned nothing, which takes as long as one that did, and a frame of noise for its goal."""
-    model = PDVMRNN(config, sensors, num_sequences).to(place).requires_grad_(False)
+def seconds_of_plan(config: ModelConfig, sensors: Sensors, place: torch.device, search: PlanConfig) -> float:
+    """A plan to a frame of noise by a network that learned nothing, which takes as long as one that did."""
+    model = PDVMRNN(config, sensors, 16).to(place).requires_grad_(False)
     frame = np.random.default_rng(0).integers(0, 255, (sensors.height, sensors.width, sensors.channels)).astype(np.uint8)
-    return model, Percept(frame)
+    library = imagine_library(model, config=search)
+    return min(plan(model, goal=Percept(frame), config=search, library=library).seconds for _ in range(REPEATS))
 
 
 def growth(place: torch.device, tell: Callable[[str], None]) -> dict[str, dict[str, float]]:
@@ -196,15 +198,11 @@ def growth(place: torch.device, tell: Callable[[str], None]) -> dict[str, dict[s
     small = ModelConfig.small()
 
     def planning(horizon: int = 16, candidates: int = 2) -> float:
-        search = PlanConfig(iterations=1, horizon=horizon, candidates=candidates, guesses=1)
-        model, goal = untrained(small, ARM, place)
-        library = imagine_library(model, config=search)
-        return min(plan(model, goal=goal, config=search, library=library).seconds for _ in range(3))
+        return seconds_of_plan(small, ARM, place, PlanConfig(iterations=1, horizon=horizon, candidates=candidates, guesses=1))
 
     def training(batch: int = 10, size: int = 64) -> float:
-        work = Work(small, replace(ARM, height=size, width=size), batch=batch)
-        told = timed_training(work, place, {"bf16": 1.0}, lambda _: None, "")
-        return work.batch * work.steps / told["seq_steps_per_s"]
+        _, once = update_of(Work(small, replace(ARM, height=size, width=size), batch=batch), place)
+        return fastest(once, place, REPEATS)
 
     grown = {
         "horizon": {str(n): round(planning(horizon=n), 4) for n in (8, 16, 32, 64)},

@@ -83,10 +83,11 @@ Map = Linear | Conv
 def stepwise(layer: Map, dtype: torch.dtype) -> Step:
     """The layer in this precision as a function of one step's input, its weight gradient summed once over all steps."""
     assert layer.bias is not None
-    tape: Tape | None = [] if torch.is_grad_enabled() and layer.weight.requires_grad else None
-    weight, bias = Weights.apply(layer.weight, layer.bias, layer, dtype, tape)  # pyright: ignore[reportGeneralTypeIssues]
     if not torch.is_grad_enabled():
-        return lambda inputs: layer.value(inputs, weight, bias)
+        fixed = layer.weight.to(dtype), layer.bias.to(dtype)
+        return lambda inputs: layer.value(inputs, *fixed)
+    tape: Tape | None = [] if layer.weight.requires_grad else None
+    weight, bias = Weights.apply(layer.weight, layer.bias, layer, dtype, tape)  # pyright: ignore[reportGeneralTypeIssues]
     return lambda inputs: MapStep.apply(inputs, weight, bias, layer, tape)  # pyright: ignore[reportReturnType]
 
 

@@ -17,7 +17,7 @@ from preimage.bench import bench
 from preimage.dataset import fingerprint, load, save
 from preimage.evaluation import Evaluated, Loop, evaluate, result_of
 from preimage.execution import execute
-from preimage.experiments import PAPER, SIZES, cells_of, reproduce
+from preimage.experiments import SIZES, cells_of, paper_of, reproduce
 from preimage.model import ModelConfig
 from preimage.options import refuse_out_of_range
 from preimage.planning import PlanConfig, plan
@@ -26,7 +26,7 @@ from preimage.provenance import provenance
 from preimage.records import Percept
 from preimage.report import figure, fill_readme, film, learning_curve, write_results
 from preimage.robot import TASKS, Arm, record
-from preimage.runs import BUNDLED, find_run, load_model, read_config, read_settings, read_shown, write_card
+from preimage.runs import BUNDLED, find_run, load_model, made_from, read_config, read_settings, read_shown, write_card
 from preimage.sources import find_percept
 from preimage.training import NonFinite, TrainConfig, train
 from preimage.training import Progress as Told
@@ -111,8 +111,12 @@ def train_(
         "num_demonstrations": len(demonstrations),
         "data": {"name": data.name, "fingerprint": fingerprint(demonstrations)},
     }
-    asked = {"rate_hz": rate_hz, "intention_dimensions": intention_dimensions, "intention_cost": intention_cost}
-    asked |= {"intention_layers": intention_layers}
+    asked = {
+        "rate_hz": rate_hz,
+        "intention_dimensions": intention_dimensions,
+        "intention_cost": intention_cost,
+        "intention_layers": intention_layers,
+    }
     model_config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
     refuse_out_of_range(model_config)
     if resume:
@@ -209,8 +213,9 @@ def evaluate_(
     known_task(task)
     refuse_out_of_range(config)
     model, folder = load_model(run), find_run(run)
-    about = {"task": task, "model": run} | {name: read_config(folder).get(name) for name in ("size", "num_demonstrations")}
-    about |= {"seed": seed, "loop": loop, "paper": PAPER.get(f"{task}-{about['num_demonstrations']}-{loop}")}
+    made = made_from(folder)
+    about = {"task": task, "model": run} | made
+    about |= {"seed": seed, "loop": loop, "paper": paper_of(task, made["num_demonstrations"], loop)}
     about |= {"plan": asdict(config), "provenance": provenance()}
     with bar() as progress:
         shown = progress.add_task("evaluating", total=goals)

@@ -7,7 +7,7 @@ from pathlib import Path
 from preimage.evaluation import Evaluated, evaluate, result_of
 from preimage.report import Case, figure, film, page
 from preimage.robot import TASKS, Arm
-from preimage.runs import find_run, load_model, read_config, read_shown
+from preimage.runs import find_run, load_model, made_from, read_shown
 from preimage.whole_file import write_json
 
 
@@ -35,8 +35,7 @@ def run(name: str, *, goals: int, seed: int, out: Path, progress: Callable[[], N
         progress()
 
     evaluated = evaluate(model, arm, task, goals=goals, seed=seed, shown=read_shown(folder), progress=show)
-    about = {"task": name, "model": name, "seed": seed, "loop": "closed"}
-    about |= {key: read_config(folder).get(key) for key in ("size", "num_demonstrations")}
+    about = {"task": name, "model": name, "seed": seed, "loop": "closed"} | made_from(folder)
     result = result_of(evaluated, about)
     write_json(out / "result.json", result)
     written = page(result, cases, out / "report.html", title=f"preimage: {name}")

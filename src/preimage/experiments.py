@@ -33,10 +33,10 @@ TEST_GOALS = {"reach": 40, "two-points": 40, "move-object": 50, "two-circles": 5
 """As many as the paper's; two circles are a row of our own."""
 LITTLE_ROOM: dict[str, Any] = {"intention_layers": ("top",), "intention_dimensions": 8, "intention_cost": 0.2}
 """For scenes of which most can be seen at the start: it is to be looked at, not remembered."""
-ROOM: dict[str, dict[str, Any]] = {"reach": {}} | dict.fromkeys(("two-points", "move-object", "two-circles"), LITTLE_ROOM)
-"""What a task changes in the sizes' own settings."""
-LEARNING: dict[str, dict[str, Any]] = {task: {} if task == "reach" else {"updates": 1300} for task in ROOM}
-"""What a task changes in the training's own settings."""
+SEEN_AT_START = "two-points", "move-object", "two-circles"
+"""The tasks with such scenes."""
+UPDATES: dict[str, int] = dict.fromkeys(SEEN_AT_START, 1300)
+"""Updates of a training, where not as many as `TrainConfig` says."""
 TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5000, 6000, 7000
 """To these a cell's seed is added: the seeds of what its model was never shown."""
 TELL = Callable[[str], None]
@@ -52,7 +52,7 @@ class Cell:
     size: str = "small"
     loops: tuple[Loop, ...] = ("closed",)
     updates: int | None = None
-    """By default as many as the task asks for."""
+    """Of the training; by default as many as the task asks for."""
     goals: int | None = None
     """Test goals; by default as many as the paper's, and 20 for recognition and the modalities."""
 
@@ -70,6 +70,11 @@ PAPER: dict[str, dict[str, float]] = {
     "move-object-100-open": {"success_rate": 0.74, "within_1": 0.74, "within_2": 0.88, "within_3": 0.93},
 }
 """Tables II and III and section III-B of the paper."""
+
+
+def paper_of(task: str, num_demonstrations: int | None, loop: Loop) -> dict[str, float] | None:
+    """What the paper reports for the same, if it does."""
+    return PAPER.get(f"{task}-{num_demonstrations}-{loop}")
 
 
 def cells_of(table: str, size: str) -> list[Cell]:
@@ -137,11 +142,12 @@ def model_of(
     """The cell's trained model; a training that was stopped goes on."""
     run = work / "runs" / cell.name
     config = learning_of(cell)
-    if (run / "README.md").exists() or (run / "resume.pt").exists():
+    finished, begun = (run / "README.md").exists(), (run / "resume.pt").exists()
+    if finished or begun:
         refuse_other_run(run, demonstrations, config)
     elif run.exists():
         shutil.rmtree(run)  # it was stopped before its first checkpoint
-    if (run / "README.md").exists():
+    if finished:
         return load_model(run)
     tell(f"{cell.name}: training")
     about = {
@@ -151,17 +157,16 @@ def model_of(
         "data": {"name": f"{cell.task}-{cell.num_demonstrations}", "fingerprint": fingerprint(demonstrations)},
         "provenance": provenance(),
     }
-    resume = (run / "resume.pt").exists()
-    model_config = replace(SIZES[cell.size](), **ROOM[cell.task])
-    train(demonstrations, model_config, config=config, folder=run, resume=resume, about=about, progress=progress)
+    model_config = replace(SIZES[cell.size](), **(LITTLE_ROOM if cell.task in SEEN_AT_START else {}))
+    train(demonstrations, model_config, config=config, folder=run, resume=begun, about=about, progress=progress)
     write_card(run)
     return load_model(run)
 
 
 def learning_of(cell: Cell) -> TrainConfig:
     """How the cell's model learns."""
-    config = TrainConfig(seed=cell.seed, **LEARNING[cell.task])
-    return config if cell.updates is None else replace(config, updates=cell.updates)
+    updates = cell.updates or UPDATES.get(cell.task, TrainConfig().updates)
+    return TrainConfig(seed=cell.seed, updates=updates)
 
 
 def refuse_other_run(run: Path, demonstrations: list[Demonstration], config: TrainConfig) -> None:
@@ -193,7 +198,7 @@ def evaluation_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration
     )  # fmt: skip
     about = asdict(cell) | {"model": cell.name, "seed": TEST_SEED + cell.seed, "training_seed": cell.seed, "loop": loop}
     about |= {
-        "paper": PAPER.get(f"{cell.task}-{cell.num_demonstrations}-{loop}"),
+        "paper": paper_of(cell.task, cell.num_demonstrations, loop),
         "plan": asdict(PlanConfig()),
         "training_seconds": training_seconds(run),
         "provenance": provenance(),
@@ -246,8 +251,7 @@ def rank_correlation(intentions: np.ndarray, goals: Sequence[Sequence[float]]) -
     """Spearman's correlation of the distances between intentions with the distances between goals: 1 where neighbours stay neighbours."""
 
     def distances(points: np.ndarray) -> np.ndarray:
-        all_pairs = np.asarray(np.linalg.norm(points[:, None] - points[None], axis=-1))
-        return all_pairs[np.triu_indices(len(points), 1)]
+        return np.linalg.norm(points[:, None] - points[None], axis=-1)[np.triu_indices(len(points), 1)]
 
     ranks = [np.argsort(np.argsort(distances(np.asarray(points)))) for points in (intentions, goals)]
     table = np.atleast_2d(np.corrcoef(np.stack(ranks)))

@@ -8,11 +8,9 @@ from preimage.planning import PlanConfig
 from preimage.training import TrainConfig
 
 LEAST = {
-    **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every", "candidates", "guesses", "horizon", "dimensions"), 1),
-    "intention_dimensions": 1,
-    "intention_cost": 0,
-    "doubt": 0,
-    **dict.fromkeys(("rest_steps", "seed", "iterations"), 0),
+    **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every"), 1),
+    **dict.fromkeys(("candidates", "guesses", "horizon", "dimensions", "intention_dimensions"), 1),
+    **dict.fromkeys(("rest_steps", "seed", "iterations", "intention_cost", "doubt"), 0),
 }
 ABOVE_ZERO = "rate_hz", "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe"
 SHARES = "final_share", "open_loop_share"

@@ -20,7 +20,7 @@ from preimage.intention import IntentionState, unflatten
 from preimage.model import PDVMRNN, Generated, Inputs, Sensed
 from preimage.prediction_error import Modalities, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
-from preimage.regression import RegressionConfig, regress_intention
+from preimage.regression import Regression, RegressionConfig, regress_intention
 from preimage.sequences import at_rate
 
 
@@ -106,28 +106,35 @@ def plan(
     guesses = first_guesses(library, objective, space.training, count=max(config.guesses, config.candidates))
     with torch.no_grad():
         guesses = guesses[objective.errors(from_start(space.intention(guesses)))[0].argsort()]
-    found = None
+    beyond_doubt = config.doubt * objective.start_to_goal
+    tried: list[Regression] = []
     for some in guesses.split(config.candidates):
-        another = regress_intention(space, some, from_start, objective, config=config)
-        found = another if found is None or another.error.min() < found.error.min() else found
-        if found.error.min() < config.doubt * objective.start_to_goal:
+        tried.append(regress_intention(space, some, from_start, objective, config=config))
+        if tried[-1].error.min() < beyond_doubt:
             break
-    assert found is not None, "there is a first guess"
+    found = min(tried, key=lambda one: float(one.error.min()))
     with torch.no_grad():
         imagined = from_start(found.best)
         error, arrival = objective.errors(imagined)
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
-    made = plan_of(model, imagined, found.best, int(arrival), start=start, goal=goal, error=float(error), **searched)
-    if config.rests:
-        made.joints[made.arrival_step :] = made.joints[made.arrival_step :].mean(0)  # where it stays, without the sway of single steps
-    return made
+    known = {"start": start, "goal": goal, "error": float(error)} | searched
+    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, **known)
 
 
-def plan_of(model: PDVMRNN, imagined: Generated, intention: IntentionState, arrival_step: int, **known: Any) -> Plan:
-    """What was imagined, as the record that leaves this room."""
+def plan_of(
+    model: PDVMRNN, imagined: Generated, intention: IntentionState, arrival_step: int, *, rests: bool = False, **known: Any
+) -> Plan:
+    """What was imagined, as the record that leaves this room.
+
+    Args:
+        rests: whether the robot stays where it arrives: at the mean of the joints from then on, without the sway of single steps.
+    """
+    joints = model.coding.decode(imagined.log_codes[0].exp()).double().cpu().numpy()
+    if rests:
+        joints[arrival_step:] = joints[arrival_step:].mean(0)
     return Plan(
         frames=to_frames(imagined.pixels[0]).cpu().numpy(),
-        joints=model.coding.decode(imagined.log_codes[0].exp()).double().cpu().numpy(),
+        joints=joints,
         arrival_step=arrival_step,
         rate_hz=model.config.rate_hz,
         joint_names=model.sensors.joint_names,

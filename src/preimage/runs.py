@@ -110,6 +110,12 @@ def read_config(folder: Path) -> dict[str, Any]:
     return config
 
 
+def made_from(folder: Path) -> dict[str, Any]:
+    """Size of a run's network and number of its demonstrations, as results tell them; None where config.json does not."""
+    config = read_config(folder)
+    return {name: config.get(name) for name in ("size", "num_demonstrations")}
+
+
 def read_settings(record: type[Record], folder: Path, key: str) -> Record:
     """The settings that config.json holds under a key.
 

@@ -6,10 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from preimage.report.figures import DOTS_PER_INCH, INK, MUTED, WIDTH_INCHES, quiet, save
+from preimage.report.figures import INK, MUTED, quiet, save, sheet
 
 GROWTH = {
     "horizon": "one iteration of a plan: steps imagined",
@@ -25,8 +23,7 @@ def growth_chart(growth: Mapping[str, Mapping[str, float]], path: str | os.PathL
     Args:
         growth: the entry of that name in what `preimage bench` writes.
     """
-    drawing = Figure(figsize=(WIDTH_INCHES, 2.9), dpi=DOTS_PER_INCH, facecolor="white", layout="constrained")
-    FigureCanvasAgg(drawing)
+    drawing = sheet(2.9, layout="constrained")
     for column, (name, title) in enumerate(GROWTH.items(), start=1):
         amounts, seconds = [float(amount) for amount in growth[name]], list(growth[name].values())
         axes = drawing.add_subplot(1, len(GROWTH), column)
@@ -44,8 +41,7 @@ def intention_map(recognition: Mapping[str, Any], path: str | os.PathLike[str]) 
 
     Dots are training sequences, stars are sequences that were never shown, recognised from the whole of them (section II-C).
     """
-    drawing = Figure(figsize=(WIDTH_INCHES, 4.4), dpi=DOTS_PER_INCH, facecolor="white", layout="constrained")
-    FigureCanvasAgg(drawing)
+    drawing = sheet(4.4, layout="constrained")
     for axis, name_of_axis in enumerate(("away from the base", "to the left")):
         axes = drawing.add_subplot(1, 2, axis + 1)
         goals = {name: np.array(places)[:, axis] for name, places in recognition["goals_m"].items()}

@@ -6,6 +6,7 @@ Only matplotlib's object interface is used: no pyplot, no backend chosen for any
 import json
 import os
 from pathlib import Path
+from typing import Literal
 
 import matplotlib
 import numpy as np
@@ -41,8 +42,7 @@ def figure(plan: Plan, trial: Trial | None, path: str | os.PathLike[str]) -> Pat
     frames_inches, curves_inches = num_rows * row_inches, sum(strip_inches)
     total = head_inches + frames_inches + gap_inches + curves_inches + foot_inches
 
-    drawing = Figure(figsize=(WIDTH_INCHES, total), dpi=DOTS_PER_INCH, facecolor="white")
-    FigureCanvasAgg(drawing)
+    drawing = sheet(total)
     _draw_title(drawing, plan, trial, total)
     upper = GridSpec(
         num_rows, NUM_COLUMNS, drawing, left=0.1, right=0.98, wspace=0.06, hspace=0.24 / row_inches,
@@ -68,8 +68,7 @@ def learning_curve(log_jsonl_path: str | os.PathLike[str], path: str | os.PathLi
         ValueError: the log holds no update, or a line before the last is no JSON.
     """
     updates, visual, proprioceptive = _read_log(Path(log_jsonl_path))
-    drawing = Figure(figsize=(WIDTH_INCHES, 3.6), dpi=DOTS_PER_INCH, facecolor="white", layout="constrained")
-    FigureCanvasAgg(drawing)
+    drawing = sheet(3.6, layout="constrained")
     named = (("vision: squared error", visual, "#1f6fb2"), ("joints: KL divergence", proprioceptive, "#b0562a"))
     for column, (name, values, colour) in enumerate(named):
         axes = drawing.add_subplot(1, 2, column + 1)
@@ -192,6 +191,13 @@ def _draw_legend(axes: Axes, colours: tuple[object, ...], plan: Plan, trial: Tri
 
 def _in_unit(joints: Shaped[np.ndarray, " T"], unit: str) -> Shaped[np.ndarray, " T"]:
     return np.degrees(joints) if unit == "deg" else joints
+
+
+def sheet(height_inches: float, layout: Literal["constrained"] | None = None) -> Figure:
+    """White paper of the width that all figures have."""
+    drawing = Figure(figsize=(WIDTH_INCHES, height_inches), dpi=DOTS_PER_INCH, facecolor="white", layout=layout)
+    FigureCanvasAgg(drawing)
+    return drawing
 
 
 def quiet(axes: Axes) -> None:

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,10 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     if not evaluations:
         raise ValueError(f"{folder} holds no evaluation: write one with `preimage evaluate` or `preimage reproduce`")
     path = Path(path)
+    figures = path.parent / "figures"
     parts = [HEAD, reach_table(evaluations), tasks_table(evaluations), grasps_table(evaluations), recognition_table(found)]
-    parts += [maps(found, path.parent / "figures"), modalities_table(found), speed_table(found)]
-    parts += [growth_chart_of(found, path.parent / "figures"), cells_table(evaluations)]
+    parts += [pictures(found, figures, "map", intention_map, INTENTIONS), modalities_table(found), speed_table(found)]
+    parts += [pictures(found, figures, "growth", lambda one, to: growth_chart(one["growth"], to), GROWTH), cells_table(evaluations)]
     with whole_file(path) as unfinished:
         unfinished.write_text("\n\n".join(part for part in parts if part) + "\n")
     return path
@@ -117,27 +118,18 @@ def recognition_table(found: Results) -> str:
     return table("Recognition of whole sequences", head, rows)
 
 
-def maps(found: Results, folder: Path) -> str:
-    """The intention space of each recognition, coloured by goal position."""
-    parts = []
-    for one in found:
-        if "map" in one:
-            drawn = intention_map(one, folder / f"{Path(one['file']).stem}.png")
-            parts.append(
-                f"Where the intentions of {one['task']} lie: dots are training sequences, stars novel ones.\n\n"
-                f"![intentions]({folder.name}/{drawn.name})"
-            )
-    return "\n\n".join(parts)
+def pictures(found: Results, folder: Path, entry: str, draw: Callable[[Mapping[str, Any], Path], Path], words: str) -> str:
+    """A picture of each result that has the entry, with words in which {picture} and the result's own entries are filled in."""
+    drawn = [(one, draw(one, folder / f"{Path(one['file']).stem}.png")) for one in found if entry in one]
+    return "\n\n".join(words.format(**one, picture=f"{folder.name}/{path.name}") for one, path in drawn)
 
 
-def growth_chart_of(found: Results, folder: Path) -> str:
-    """How the work grows."""
-    parts = []
-    for one in found:
-        if "growth" in one:
-            drawn = growth_chart(one["growth"], folder / f"{Path(one['file']).stem}.png")
-            parts.append(f"How the work grows on {one['device']}, {one['threads']} threads:\n\n![growth]({folder.name}/{drawn.name})")
-    return "\n\n".join(parts)
+INTENTIONS = """Where the intentions of {task} lie: dots are training sequences, stars novel ones.
+
+![intentions]({picture})"""
+GROWTH = """How the work grows on {device}, {threads} threads:
+
+![growth]({picture})"""
 
 
 def modalities_table(found: Results) -> str:
