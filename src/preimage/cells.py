@@ -1,4 +1,4 @@
-"""What one time step is made of: linear maps that are used at every step, and the LSTM gates between them.
+"""What one time step is made of: linear maps that are used at every step, the LSTM gates, and the ties between layers.
 
 An unrolled network applies the same weights at every step of a sequence. Summing the weights' gradient step by step costs a small
 matrix product each time; here each map keeps what went in and what came back, and its gradient is one large product over all steps
@@ -226,3 +226,57 @@ def depth_to_space(maps: Tensor) -> Tensor:
     batch, channels, height, width = maps.shape
     patches = maps.permute(0, 2, 3, 1).reshape(batch, height, width, 2, 2, channels // 4).transpose(2, 3)
     return patches.reshape(batch, 2 * height, 2 * width, channels // 4).permute(0, 3, 1, 2)  # (B, C, H, W)
+
+
+class Lateral(nn.Module):
+    """The tie between the two paths at one level, through a few feature maps on a coarse grid."""
+
+    def __init__(self, *, channels: int, units: int, size: tuple[int, int], grid: tuple[int, int], lateral: int) -> None:
+        super().__init__()
+        self.grid, self.scale, self.lateral = grid, size[0] // grid[0], lateral
+        self.from_motor = Linear(units, lateral * grid[0] * grid[1])
+        self.from_vision = Linear(channels, lateral)
+
+    def to_vision(self, dtype: torch.dtype) -> Step:
+        """(B, units) to (B, lateral, height, width)."""
+        project = self.from_motor.at(dtype)
+
+        def step(hidden: Tensor) -> Tensor:
+            coarse = project(hidden).unflatten(1, (*self.grid, self.lateral)).permute(0, 3, 1, 2)  # (B, lateral, *grid)
+            return coarse if self.scale == 1 else nn.functional.interpolate(coarse, scale_factor=self.scale, mode="nearest")
+
+        return step
+
+    def to_motor(self, dtype: torch.dtype) -> Step:
+        """(B, channels, height, width) to (B, lateral * grid)."""
+        project = self.from_vision.at(dtype)
+
+        def step(hidden: Tensor) -> Tensor:
+            coarse = hidden if self.scale == 1 else nn.functional.avg_pool2d(hidden, self.scale)
+            return project(coarse.permute(0, 2, 3, 1)).flatten(1)  # (B, features)
+
+        return step
+
+
+class Up(nn.Module):
+    """From a layer to the one above: a convolution of kernel 6 and stride 2, computed on 2x2 patches laid side by side."""
+
+    def __init__(self, below: int, above: int) -> None:
+        super().__init__()
+        self.project = Conv(4 * below, above)
+
+    def at(self, dtype: torch.dtype) -> Step:
+        project = self.project.at(dtype)
+        return lambda maps: project(space_to_depth(maps))
+
+
+class Down(nn.Module):
+    """From a layer to the one below: a transposed convolution of kernel 6 and stride 2, computed as 2x2 patches laid side by side."""
+
+    def __init__(self, above: int, below: int) -> None:
+        super().__init__()
+        self.project = Conv(above, 4 * below)
+
+    def at(self, dtype: torch.dtype) -> Step:
+        project = self.project.at(dtype)
+        return lambda maps: depth_to_space(project(maps))

@@ -28,7 +28,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from preimage.cells import LSTM, Conv, ConvLSTM, Linear, State, Step, depth_to_space, space_to_depth
+from preimage.cells import LSTM, ConvLSTM, Down, Lateral, Linear, State, Up
 from preimage.coding import JointCoding
 from preimage.intention import FreeTable, IntentionState, IntentionTable, LatentTable
 
@@ -110,60 +110,6 @@ class Generated:
 
     pixels: Float[Tensor, "B T C H W"]
     log_codes: Float[Tensor, "B T J K"]
-
-
-class Lateral(nn.Module):
-    """The tie between the two paths at one level, through a few feature maps on a coarse grid."""
-
-    def __init__(self, *, channels: int, units: int, size: tuple[int, int], grid: tuple[int, int], lateral: int) -> None:
-        super().__init__()
-        self.grid, self.scale, self.lateral = grid, size[0] // grid[0], lateral
-        self.from_motor = Linear(units, lateral * grid[0] * grid[1])
-        self.from_vision = Linear(channels, lateral)
-
-    def to_vision(self, dtype: torch.dtype) -> Step:
-        """(B, units) to (B, lateral, height, width)."""
-        project = self.from_motor.at(dtype)
-
-        def step(hidden: Tensor) -> Tensor:
-            coarse = project(hidden).unflatten(1, (*self.grid, self.lateral)).permute(0, 3, 1, 2)  # (B, lateral, *grid)
-            return coarse if self.scale == 1 else nn.functional.interpolate(coarse, scale_factor=self.scale, mode="nearest")
-
-        return step
-
-    def to_motor(self, dtype: torch.dtype) -> Step:
-        """(B, channels, height, width) to (B, lateral * grid)."""
-        project = self.from_vision.at(dtype)
-
-        def step(hidden: Tensor) -> Tensor:
-            coarse = hidden if self.scale == 1 else nn.functional.avg_pool2d(hidden, self.scale)
-            return project(coarse.permute(0, 2, 3, 1)).flatten(1)  # (B, features)
-
-        return step
-
-
-class Up(nn.Module):
-    """From a layer to the one above: a convolution of kernel 6 and stride 2, computed on 2x2 patches laid side by side."""
-
-    def __init__(self, below: int, above: int) -> None:
-        super().__init__()
-        self.project = Conv(4 * below, above)
-
-    def at(self, dtype: torch.dtype) -> Step:
-        project = self.project.at(dtype)
-        return lambda maps: project(space_to_depth(maps))
-
-
-class Down(nn.Module):
-    """From a layer to the one below: a transposed convolution of kernel 6 and stride 2, computed as 2x2 patches laid side by side."""
-
-    def __init__(self, above: int, below: int) -> None:
-        super().__init__()
-        self.project = Conv(above, 4 * below)
-
-    def at(self, dtype: torch.dtype) -> Step:
-        project = self.project.at(dtype)
-        return lambda maps: depth_to_space(project(maps))
 
 
 class PDVMRNN(nn.Module):
