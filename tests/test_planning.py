@@ -97,7 +97,7 @@ def test_residuals_of_a_sequence_are_its_error(model: PDVMRNN) -> None:
 
 @pytest.mark.parametrize("config", [CONFIG, DESCEND], ids=["leap", "descend"])
 def test_a_plan_reaches_a_goal_between_the_demonstrations(model: PDVMRNN, config: PlanConfig) -> None:
-    shown = bar(0.55)
+    shown = bar(0.8)
     found = plan(model, start=shown.first, goal=Percept(frame=shown.last.frame), config=config)
     assert np.abs(found.joints[found.arrival_step] - shown.joints[-1]).max() < 0.08
     assert found.errors[-1] < found.errors[0]
@@ -141,8 +141,8 @@ def test_the_best_of_several_candidates_is_returned() -> None:
     assert again.item() == pytest.approx(found.error.min().item())
 
 
-@pytest.mark.parametrize(("doubt", "searches"), [(0.0, 3), (1e9, 1)])
-def test_a_plan_in_doubt_tries_the_other_first_guesses(model: PDVMRNN, monkeypatch, doubt: float, searches: int) -> None:
+@pytest.mark.parametrize(("doubt", "searches"), [(0.0, [2, 4]), (1e9, [2])])
+def test_a_plan_in_doubt_tries_the_other_first_guesses(model: PDVMRNN, monkeypatch, doubt: float, searches: list[int]) -> None:
     tried = []
 
     def counted(space, coordinates, *rest, **config):
@@ -152,7 +152,7 @@ def test_a_plan_in_doubt_tries_the_other_first_guesses(model: PDVMRNN, monkeypat
     monkeypatch.setattr("preimage.planning.regress_intention", counted)
     shown = bar(0.7)
     plan(model, start=shown.first, goal=shown.last, config=replace(CONFIG, doubt=doubt, candidates=2, guesses=6, iterations=2))
-    assert tried == [2] * searches
+    assert tried == searches
 
 
 def test_what_there_is_to_explain_is_the_error_of_staying(model: PDVMRNN) -> None:

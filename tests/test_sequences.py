@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -88,6 +89,13 @@ def test_padding_repeats_the_last_step_and_the_mask_counts_some_rest():
     assert sequences.lengths.tolist() == [6, 3]
     assert sequences.joints[1, :, 0].tolist() == [0, 1, 2, 2, 2, 2]
     assert sequences.mask.tolist() == [[1, 1, 1, 1, 1, 1], [1, 1, 1, 1, 0, 0]]
+
+
+def test_a_later_start_leaves_out_what_was_before_and_rests_as_long():
+    sequences = pad([counting(6), counting(4)], rate_hz=10.0, rest_steps=1)
+    later = sequences.begun_at(torch.tensor([0, 1, 1]), torch.tensor([4, 0, 2]))
+    assert later.joints[..., 0].tolist() == [[4, 5, 5, 5, 5, 5], [0, 1, 2, 3, 3, 3], [2, 3, 3, 3, 3, 3]]
+    assert later.mask.sum(1).tolist() == [3, 5, 3]
 
 
 def test_padding_brings_recordings_of_different_rates_together():

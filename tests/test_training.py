@@ -13,7 +13,7 @@ import torch
 from preimage.model import ModelConfig
 from preimage.records import Demonstration
 from preimage.runs import load_model
-from preimage.training import NonFinite, Progress, TrainConfig, train
+from preimage.training import NonFinite, Progress, TrainConfig, begin_steps, train
 
 CONFIG = TrainConfig(updates=6, batch_size=2, rest_steps=2, checkpoint_every=2, precision="float32")
 
@@ -89,6 +89,13 @@ def test_a_number_that_is_not_finite_stops_the_run_and_is_named(tmp_path: Path) 
         train(demonstrations(), ModelConfig.tiny(), config=config, folder=tmp_path / "run")
     saved = json.loads((tmp_path / "run" / "non_finite.json").read_text())
     assert saved["tensor"]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_share_of_the_sequences_begins_at_any_of_its_steps(share: float) -> None:
+    lengths = torch.full((4000,), 5)
+    begun = begin_steps(lengths, replace(CONFIG, later_starts=share), torch.Generator().manual_seed(0))
+    assert begun.bincount(minlength=5) / 4000 == pytest.approx([1 - 0.8 * share, *4 * [0.2 * share]], abs=0.03)
 
 
 def test_a_full_folder_is_not_written_over(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ LEAST = {
     **dict.fromkeys(("rest_steps", "seed", "iterations", "intention_cost", "doubt"), 0),
 }
 ABOVE_ZERO = "rate_hz", "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe"
-SHARES = "final_share", "open_loop_share"
+SHARES = "final_share", "open_loop_share", "later_starts"
 
 
 def refuse_out_of_range(config: ModelConfig | TrainConfig | PlanConfig) -> None:

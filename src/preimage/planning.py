@@ -31,7 +31,7 @@ class PlanConfig(RegressionConfig):
     modalities: Modalities = "vision"
     """The modalities of the goal that are used; the rest of a goal percept is not looked at."""
     guesses: int = 8
-    """First guesses that are imagined; the best of them, `candidates`, are regressed, the others while the plan is in doubt."""
+    """First guesses that are imagined; the best of them, `candidates`, are regressed, all the others if the plan is in doubt then."""
     doubt: float = 0.15
     """A plan is in doubt while its error is above this share of the error of staying at the start."""
     horizon: int | None = None
@@ -108,7 +108,7 @@ def plan(
         guesses = guesses[objective.errors(from_start(space.intention(guesses)))[0].argsort()]
     beyond_doubt = config.doubt * objective.start_to_goal
     tried: list[Regression] = []
-    for some in guesses.split(config.candidates):
+    for some in filter(len, (guesses[: config.candidates], guesses[config.candidates :])):
         tried.append(regress_intention(space, some, from_start, objective, config=config))
         if tried[-1].error.min() < beyond_doubt:
             break

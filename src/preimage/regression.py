@@ -144,7 +144,9 @@ DAMPINGS = (1e-3, 0.03, 1.0)
 """Shares of the mean curvature that are added to it: how far each of the leaps goes that are tried side by side."""
 BEHIND = 1.3
 """A candidate whose error is more than this many times the lowest after a leap is dropped."""
-ENOUGH = 0.02
+LEADING = 8
+"""Directions in which slopes are measured anew."""
+ENOUGH = 0.04
 """A leap that lowers the error by less than this share of it is not worth another from the same slopes."""
 
 
@@ -159,33 +161,45 @@ def leap(
         error, aims = objective.errors(generated)
         return Places(points, error, aims, objective.residuals(generated, aims))
 
-    here, slopes = visit(coordinates), None
+    here, slopes, stale = visit(coordinates), None, True
     lowest = [here.error.min()]
     stopped = Stopped.ITERATIONS
     for _ in range(config.most_iterations):
-        fresh = slopes is None
-        slopes = slopes_at(here, space, imagine, objective, config.probe) if slopes is None else slopes
+        fresh = stale
+        if slopes is None or stale:
+            slopes = slopes_at(here, slopes, space, imagine, objective, config.probe)
         tried = visit(leaps_from(here, slopes, config.intention_cost).flatten(0, 1))
         there = better_of(here, tried)
         slopes = learn_from_leap(slopes, here, there)
         near = there.error <= BEHIND * there.error.min()
         here, slopes = there[near], slopes[near]
         lowest.append(here.error.min())
-        if lowest[-1] > (1 - ENOUGH) * lowest[-2]:
-            if fresh:
-                stopped = Stopped.CONVERGED
-                break
-            slopes = None
+        stale = bool(lowest[-1] > (1 - ENOUGH) * lowest[-2])
+        if stale and fresh:
+            stopped = Stopped.CONVERGED
+            break
     return Regression(space.intention(here.points), here.error, torch.stack(lowest), stopped)
 
 
-def slopes_at(here: Places, space: IntentionSpace, imagine: Imagine, objective: Objective, probe: float) -> Float[Tensor, "B K R"]:
-    """How the residuals change with each coordinate, the aims held. Nothing later than the last aim need be imagined."""
+def slopes_at(
+    here: Places, known: Float[Tensor, "B K R"] | None, space: IntentionSpace, imagine: Imagine, objective: Objective, probe: float
+) -> Float[Tensor, "B K R"]:
+    """How the residuals change with each coordinate, the aims held. Nothing later than the last aim need be imagined.
+
+    Slopes that are known from a place nearby are measured anew in their leading directions alone, those in which the residuals change
+    most; the others hardly matter to a leap.
+    """
     count, dimensions = here.points.shape
-    probes = here.points[:, None] + probe * torch.eye(dimensions).to(here.points)  # (B, K, K)
+    if known is None:
+        known = here.residuals.new_zeros(count, dimensions, here.residuals.shape[1])
+        directions = torch.eye(dimensions).to(here.points).expand(count, -1, -1)
+    else:
+        directions = torch.linalg.eigh(known @ known.mT).eigenvectors.mT[:, -LEADING:]  # (B, D, K)
+    probes = here.points[:, None] + probe * directions
     changed = imagine(space.intention(probes.flatten(0, 1)), objective.steps_until(here.aims))
-    residuals = objective.residuals(changed, here.aims.repeat_interleave(dimensions))
-    return (residuals.view(count, dimensions, -1) - here.residuals[:, None]) / probe
+    residuals = objective.residuals(changed, here.aims.repeat_interleave(probes.shape[1]))
+    measured = (residuals.view(*probes.shape[:2], -1) - here.residuals[:, None]) / probe
+    return known + directions.mT @ (measured - directions @ known)
 
 
 def learn_from_leap(slopes: Float[Tensor, "B K R"], here: Places, there: Places) -> Float[Tensor, "B K R"]:

@@ -61,11 +61,22 @@ class Sequences:
     frames: UInt8[Tensor, "N T H W C"]
     joints: Float[Tensor, "N T J"]
     lengths: Int[Tensor, " N"]
-    mask: Float[Tensor, "N T"]
-    """1 where a step counts: the recorded steps and the first few of rest."""
+    rest_steps: int
+    """Steps of rest after the last recorded one that count."""
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    @property
+    def mask(self) -> Float[Tensor, "N T"]:
+        """1 where a step counts: the recorded steps and the first few of rest."""
+        return (torch.arange(self.frames.shape[1]) < self.lengths[:, None] + self.rest_steps).float()
+
+    def begun_at(self, rows: Int[Tensor, " B"], steps: Int[Tensor, " B"]) -> "Sequences":
+        """Some of them, each from a step of its own on, padded to the same length."""
+        longest = self.frames.shape[1]
+        at = rows[:, None], (steps[:, None] + torch.arange(longest)).clamp(max=longest - 1)
+        return Sequences(self.frames[at], self.joints[at], self.lengths[rows] - steps, self.rest_steps)
 
 
 def pad(demonstrations: Sequence[Demonstration], *, rate_hz: float, rest_steps: int = 0) -> Sequences:
@@ -83,5 +94,4 @@ def pad(demonstrations: Sequence[Demonstration], *, rate_hz: float, rest_steps: 
     steps = [np.minimum(np.arange(longest), len(demonstration) - 1) for demonstration in resampled]
     frames = np.stack([demonstration.frames[at] for demonstration, at in zip(resampled, steps, strict=True)])
     joints = np.stack([demonstration.joints[at] for demonstration, at in zip(resampled, steps, strict=True)])
-    mask = (torch.arange(longest) < lengths[:, None] + rest_steps).float()
-    return Sequences(torch.from_numpy(frames), torch.from_numpy(joints).float(), lengths, mask)
+    return Sequences(torch.from_numpy(frames), torch.from_numpy(joints).float(), lengths, rest_steps)

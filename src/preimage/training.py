@@ -1,7 +1,8 @@
 """Training: back-propagation through time on the weights and the intention table together (section II-B).
 
 Every update draws a few demonstrations, generates each from its own intention in closed loop, and lowers the prediction error of both
-modalities by Adam. What an update draws depends on the seed and its number alone, so that a training that was stopped and resumed gives
+modalities by Adam. Some of them are generated from a later step on, drawn anew each time: what is wanted stays the same wherever the
+robot stands, so that the intention learns to hold where the way leads and leaves to the percept where it starts. What an update draws depends on the seed and its number alone, so that a training that was stopped and resumed gives
 the same weights, bit for bit on a CPU, as one that never stopped.
 """
 
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from preimage.coding import to_pixels
@@ -51,6 +52,8 @@ class TrainConfig:
     """Largest norm of the weights' gradient; longer ones are shortened to it."""
     open_loop_share: float = 0.0
     """Share of the sensed percept in the network's input: 0 closed loop, 1 open loop."""
+    later_starts: float = 0.5
+    """Share of an update's sequences that begin at a later step of their demonstration, under the same intention."""
     rest_steps: int = 30
     """Steps of rest after a demonstration's end that count: the arm learns to stay at the goal."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
@@ -208,7 +211,7 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     rows = batch_of(learner.update, len(sequences), config)
     generator = torch.Generator().manual_seed(config.seed * 1_000_003 + learner.update)
     intention, charge = model.intention_table.draw(rows, generator)
-    error = error_of(model, intention, sequences, rows, config)
+    error = error_of(model, intention, sequences.begun_at(rows, begin_steps(sequences.lengths[rows], config, generator)), config)
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
@@ -225,12 +228,18 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     return told
 
 
-def error_of(model: PDVMRNN, intention: IntentionState, sequences: Sequences, rows: Tensor, config: TrainConfig) -> SequenceError:
-    """Generate the rows of the table from their intentions and compare."""
-    pixels, codes = to_pixels(sequences.frames[rows]), model.coding.encode(sequences.joints[rows])
+def begin_steps(lengths: Int[Tensor, " B"], config: TrainConfig, generator: torch.Generator) -> Int[Tensor, " B"]:
+    """Where each sequence begins: at its first step, or, a share of them, at any step of it."""
+    later, where = torch.rand(2, len(lengths), generator=generator)
+    return (where * lengths).long() * (later < config.later_starts)
+
+
+def error_of(model: PDVMRNN, intention: IntentionState, sequences: Sequences, config: TrainConfig) -> SequenceError:
+    """Generate the sequences from their intentions and compare."""
+    pixels, codes = to_pixels(sequences.frames), model.coding.encode(sequences.joints)
     dtype = getattr(torch, config.precision)
     generated = model.generate_open_loop(intention, (pixels, codes), share=config.open_loop_share, dtype=dtype)
-    return sequence_error(generated, pixels, codes, sequences.mask[rows])
+    return sequence_error(generated, pixels, codes, sequences.mask)
 
 
 def refuse_non_finite(learner: Learner, error: SequenceError, charge: Tensor, norm: Tensor, run: Path | None) -> None:
