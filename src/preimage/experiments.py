@@ -31,11 +31,11 @@ from preimage.whole_file import write_json
 SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.paper}
 TEST_GOALS = {"reach": 40, "two-points": 40, "move-object": 50, "two-circles": 50}
 """As many as the paper's; two circles are a row of our own."""
-LITTLE_ROOM: dict[str, Any] = {"intention_layers": ("top",), "intention_dimensions": 8, "intention_cost": 0.2}
+LITTLE_ROOM: dict[str, Any] = {"intention_layers": ("top",), "intention_dimensions": 8}
 """For scenes of which most can be seen at the start: it is to be looked at, not remembered."""
-SEEN_AT_START = "two-points", "move-object", "two-circles"
-"""The tasks with such scenes."""
-UPDATES: dict[str, int] = dict.fromkeys(SEEN_AT_START, 1300)
+INTENTION_COST = {"two-points": 0.03, "move-object": 0.1, "two-circles": 0.1}
+"""The tasks with such scenes, and what their intentions are charged for a nat."""
+UPDATES = {"two-points": 2000, "move-object": 1300, "two-circles": 1300}
 """Updates of a training, where not as many as `TrainConfig` says."""
 TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5000, 6000, 7000
 """To these a cell's seed is added: the seeds of what its model was never shown."""
@@ -157,10 +157,15 @@ def model_of(
         "data": {"name": f"{cell.task}-{cell.num_demonstrations}", "fingerprint": fingerprint(demonstrations)},
         "provenance": provenance(),
     }
-    model_config = replace(SIZES[cell.size](), **(LITTLE_ROOM if cell.task in SEEN_AT_START else {}))
-    train(demonstrations, model_config, config=config, folder=run, resume=begun, about=about, progress=progress)
+    train(demonstrations, network_of(cell), config=config, folder=run, resume=begun, about=about, progress=progress)
     write_card(run)
     return load_model(run)
+
+
+def network_of(cell: Cell) -> ModelConfig:
+    """The cell's network, with the room of its intention."""
+    network = SIZES[cell.size]()
+    return replace(network, **LITTLE_ROOM, intention_cost=INTENTION_COST[cell.task]) if cell.task in INTENTION_COST else network
 
 
 def learning_of(cell: Cell) -> TrainConfig:
