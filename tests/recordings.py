@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
+from preimage.dataset import save
 from preimage.records import Demonstration, Scene
 
 DATA, INDEX, INFO = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/info.json"
@@ -56,11 +57,8 @@ def png(size=(8, 6), mode="RGB") -> bytes:
     return file.getvalue()
 
 
-
 def save_noise(folder: Path) -> list[Demonstration]:
     """Three episodes of noise in a data set of our own, for damage to be done to."""
-    from preimage.dataset import save
-
     demonstrations = [noise(seed=seed, num_steps=3 + seed, scene=SCENE) for seed in range(3)]
     save(demonstrations, folder, task="reach the mark")
     return demonstrations
