@@ -128,7 +128,7 @@ def scaled(frame: Frame, size: tuple[int, int]) -> Seen:
     # Colour and depth apart: Pillow takes a fourth channel for opacity and weighs colours with it.
     parts = (frame[..., :3], frame[..., 3:]) if frame.shape[-1] == 4 else (frame,)
     images = (Image.fromarray(np.ascontiguousarray(part[..., 0] if part.shape[-1] == 1 else part)) for part in parts)
-    smaller = [np.asarray(image.resize(size[::-1], Image.Resampling.BILINEAR)).reshape(*size, -1) for image in images]
+    smaller = [np.asarray(image.resize((size[1], size[0]), Image.Resampling.BILINEAR)).reshape(*size, -1) for image in images]
     return np.concatenate(smaller, axis=-1)  # (H, W, C)
 
 
