@@ -34,6 +34,7 @@ ORDER = [
     "experiments",
     "bench",
     "report",
+    "held_out",
     "demo",
     "options",
     "cli",

@@ -18,6 +18,7 @@ from preimage.dataset import fingerprint, load, save
 from preimage.evaluation import Evaluated, Loop, evaluate, result_of
 from preimage.execution import execute
 from preimage.experiments import SIZES, cells_of, paper_of, reproduce
+from preimage.held_out import compare_run, every_nth
 from preimage.model import ModelConfig
 from preimage.options import refuse_out_of_range
 from preimage.planning import PlanConfig, plan
@@ -85,6 +86,7 @@ def train_(
     out: Path,
     size: Literal["tiny", "small", "paper"] = "small",
     resume: bool = False,
+    hold_out: int = 0,
     rate_hz: float | None = None,
     intention_dimensions: int | None = None,
     intention_cost: float | None = None,
@@ -97,7 +99,8 @@ def train_(
         data: a LeRobotDataset v3.0.
         out: run folder to write.
         size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
-        resume: go on with the run in `out`, with the sizes and settings it was started with.
+        resume: go on with the run in `out`, with the sizes, settings and held-out episodes it was started with.
+        hold_out: every Nth episode is not trained on but kept for `preimage evaluate --data`; 0 trains on all.
         rate_hz: steps a second that the model runs at, instead of the size's own.
         intention_dimensions: numbers that make an intention, instead of the size's own.
         intention_cost: charge for what an intention tells, instead of the size's own: 0.2 where most can be seen at the start.
@@ -105,12 +108,8 @@ def train_(
         config: how the network learns.
     """
     refuse_out_of_range(config)
-    demonstrations = load(data)
-    about = {
-        "size": size,
-        "num_demonstrations": len(demonstrations),
-        "data": {"name": data.name, "fingerprint": fingerprint(demonstrations)},
-    }
+    recorded = load(data)
+    learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "held_out": every_nth(len(recorded), hold_out)}
     asked = {
         "rate_hz": rate_hz,
         "intention_dimensions": intention_dimensions,
@@ -121,9 +120,12 @@ def train_(
     refuse_out_of_range(model_config)
     if resume:
         started = read_config(find_run(out)).get("data")
-        if not isinstance(started, dict) or started.get("fingerprint") != about["data"]["fingerprint"]:
+        if not isinstance(started, dict) or started.get("fingerprint") != learned_from["fingerprint"]:
             raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
+        learned_from = started
         model_config, config = read_settings(ModelConfig, out, "model"), read_settings(TrainConfig, out, "train")
+    held_out = learned_from.get("held_out", [])
+    demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
     with bar() as progress:
         shown = progress.add_task("training", total=config.updates)
 
@@ -131,11 +133,13 @@ def train_(
             errors = f"training  vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}"
             progress.update(shown, completed=told.update, description=errors)
 
+        about = {"size": size, "num_demonstrations": len(demonstrations), "data": learned_from}
         about |= {"task": task_of(demonstrations), "provenance": provenance()}
         train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell)
     learning_curve(out / "log.jsonl", out / "learning_curve.png")
     write_card(out)
-    print(f"trained on {len(demonstrations)} demonstrations; the run is in {out}")
+    left_out = f", {len(held_out)} held out" if held_out else ""
+    print(f"trained on {len(demonstrations)} demonstrations{left_out}; the run is in {out}")
 
 
 def plan_(
@@ -193,6 +197,8 @@ def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.a
 def evaluate_(
     run: Positional[str],
     out: Path = Path("evaluation.json"),
+    data: Path | None = None,
+    films: Path | None = None,
     task: str = "reach",
     goals: int = 100,
     seed: int = 5000,
@@ -201,9 +207,13 @@ def evaluate_(
 ) -> None:
     """Count how often plans to goals that were never shown arrive, beside what luck would give.
 
+    With --data nothing is executed: plans are compared with recordings that were never trained on. That is no success rate.
+
     Args:
         run: a run folder, or the name of a bundled model.
         out: JSON file to write.
+        data: recordings to compare with, instead of the simulator; of the data that was trained on, the episodes held out.
+        films: folder for a few films, recorded beside imagined; for --data.
         task: name of the task.
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
@@ -212,6 +222,10 @@ def evaluate_(
     """
     known_task(task)
     refuse_out_of_range(config)
+    if data is not None:
+        return compare_with(data, run, out, films, config)
+    if films is not None:
+        raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     model, folder = load_model(run), find_run(run)
     made = made_from(folder)
     about = {"task": task, "model": run} | made
@@ -235,6 +249,18 @@ def evaluate_(
     print(summary("preimage", result))
     for name, baseline in result["baselines"].items():
         print(summary(name, baseline))
+
+
+def compare_with(data: Path, run: str, out: Path, films: Path | None, config: PlanConfig) -> None:
+    """The part of `evaluate` that needs no simulator."""
+    with bar() as progress:
+        shown = progress.add_task("planning", total=None)
+
+        def tell(done: int, of_all: int) -> None:
+            progress.update(shown, completed=done, total=of_all)
+
+        lines = compare_run(run, data, out=out, film_folder=films, config=config, progress=tell)
+    print("\n".join(lines))
 
 
 def reproduce_(
