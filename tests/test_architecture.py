@@ -19,6 +19,7 @@ ORDER = [
     "intention",
     "model",
     "sequences",
+    "limits",
     "prediction_error",
     "runs",
     "training",

@@ -94,6 +94,22 @@ def test_a_plan_to_an_episode_can_be_executed_and_judged(capsys, run_folder, dat
     assert (tmp_path / "film.gif").is_file()
 
 
+def test_a_plan_leaves_an_episode_that_keeps_to_the_limits(capsys, run_folder, data, tmp_path):
+    limits = {"joint1": {"lower": -0.001, "upper": 0.001, "step": 0.0005}}
+    (tmp_path / "limits.json").write_text(json.dumps(limits))
+    words = ["plan", str(run_folder), "--goal", f"{data}:1", "--out", str(tmp_path / "plan"), *QUICK]
+    cli.main([*words, "--joint-limits", str(tmp_path / "limits.json")])
+    assert "joint1 kept above -0.001 and below 0.001 units in " in capsys.readouterr().out
+    (episode,) = preimage.load(tmp_path / "plan" / "lerobot")
+    table = np.loadtxt(tmp_path / "plan" / "joints.csv", delimiter=",", skiprows=1, ndmin=2)[:, 1:]
+    for commands in (episode.joints[:, 0], table[:, 0]):
+        assert np.abs(commands).max() <= 0.001 + 1e-6
+        assert np.abs(np.diff(commands)).max(initial=0) <= 0.0005 + 2e-6
+    assert episode.joint_names == preimage.load(data)[0].joint_names
+    cli.main(words)  # into the same folder, without the file
+    assert "joint1 kept above -0.001" not in capsys.readouterr().out
+
+
 def test_plan_to_an_image_file(run_folder, demonstrations, tmp_path):
     Image.fromarray(demonstrations[0].last.frame[..., 0]).save(tmp_path / "goal.png")
     cli.main(["plan", str(run_folder), "--goal", str(tmp_path / "goal.png"), "--out", str(tmp_path / "plan"), *QUICK])

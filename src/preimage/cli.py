@@ -19,10 +19,11 @@ from preimage.evaluation import Evaluated, Loop, evaluate, result_of
 from preimage.execution import execute
 from preimage.experiments import SIZES, cells_of, paper_of, reproduce
 from preimage.held_out import compare_run, every_nth
+from preimage.limits import commands_of, limits_seen, read_limits
 from preimage.model import ModelConfig
 from preimage.options import refuse_out_of_range
 from preimage.planning import PlanConfig, plan
-from preimage.plans import load_plan, save_plan
+from preimage.plans import load_plan, save_episode, save_plan
 from preimage.provenance import provenance
 from preimage.records import Percept
 from preimage.report import figure, fill_readme, film, learning_curve, write_results
@@ -148,6 +149,7 @@ def plan_(
     out: Path,
     start: str | None = None,
     goal_joints: tuple[float, ...] | None = None,
+    joint_limits: Path | None = None,
     config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
 ) -> None:
     """Imagine a way to a goal.
@@ -155,25 +157,32 @@ def plan_(
     Args:
         run: a run folder, or the name of a bundled model.
         goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set.
-        out: folder to write: the plan, a film and a figure of it, and the joints as CSV.
+        out: folder to write: the plan, a film and a figure of it, and the joints to command as CSV and as a LeRobotDataset.
         start: where the start comes from, likewise; by default the mean start of the demonstrations.
         goal_joints: joint angles of the goal (rad), for --modalities joints or both.
+        joint_limits: JSON of what may be commanded, joint by joint: lower, upper, velocity or step; by default what was demonstrated.
         config: how the plan is searched for.
     """
     refuse_out_of_range(config)
     if goal_joints is not None and config.modalities == "vision":
         raise ValueError("--goal-joints is not looked at while --modalities is vision: give --modalities joints, or both")
     model = load_model(run)
+    limits = limits_seen(model.sensors, read_shown(find_run(run)))
+    if joint_limits:
+        limits = read_limits(joint_limits, limits, rate_hz=model.config.rate_hz)
     wanted = find_percept(goal, model.sensors, default_step=-1)
     percept = wanted.percept if goal_joints is None else Percept(wanted.percept.frame, torch.tensor(goal_joints).double().numpy())
     begin = find_percept(start, model.sensors, default_step=0).percept if start else None
     found = plan(model, start=begin, goal=percept, config=config)
-    save_plan(found, out, scene=wanted.scene)
+    commands, limited = commands_of(found, limits)
+    save_plan(found, out, scene=wanted.scene, commands=commands)
+    save_episode(found, out / "lerobot", commands=commands)
     film(found, None, out / "imagined.mp4")
     figure(found, None, out / "imagined.png")
     seconds = found.arrival_step / found.rate_hz
     print(f"arrives at step {found.arrival_step} ({seconds:.1f} s), error {found.error:.3f}, planned in {found.seconds:.1f} s, in {out}")
     print(f"stopped: {found.stopped.value}")
+    print("\n".join(limited) or "no limit changed the joints to command")
 
 
 def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None) -> None:
