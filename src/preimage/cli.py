@@ -22,7 +22,7 @@ from preimage.held_out import compare_run, every_nth
 from preimage.limits import commands_of, limits_seen, read_limits
 from preimage.model import ModelConfig
 from preimage.options import refuse_out_of_range
-from preimage.planning import PlanConfig, plan
+from preimage.planning import PlanConfig, join, plan_in_turn
 from preimage.plans import load_plan, save_episode, save_plan
 from preimage.provenance import provenance
 from preimage.records import Percept
@@ -145,18 +145,19 @@ def train_(
 
 def plan_(
     run: Positional[str],
-    goal: str,
+    goal: tuple[str, ...],
     out: Path,
     start: str | None = None,
     goal_joints: tuple[float, ...] | None = None,
     joint_limits: Path | None = None,
     config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
 ) -> None:
-    """Imagine a way to a goal.
+    """Imagine a way to a goal, or to several in a row.
 
     Args:
         run: a run folder, or the name of a bundled model.
-        goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set.
+        goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set;
+            of several, each is planned to from where the plan to the one before ends, and the whole is one plan.
         out: folder to write: the plan, a film and a figure of it, and the joints to command as CSV and as a LeRobotDataset.
         start: where the start comes from, likewise; by default the mean start of the demonstrations.
         goal_joints: joint angles of the goal (rad), for --modalities joints or both.
@@ -166,19 +167,27 @@ def plan_(
     refuse_out_of_range(config)
     if goal_joints is not None and config.modalities == "vision":
         raise ValueError("--goal-joints is not looked at while --modalities is vision: give --modalities joints, or both")
+    if goal_joints is not None and len(goal) != 1:
+        raise ValueError(f"--goal-joints are the joints of one goal, and --goal names {len(goal)}: plan to one goal, or without joints")
     model = load_model(run)
     limits = limits_seen(model.sensors, read_shown(find_run(run)))
     if joint_limits:
         limits = read_limits(joint_limits, limits, rate_hz=model.config.rate_hz)
-    wanted = find_percept(goal, model.sensors, default_step=-1)
-    percept = wanted.percept if goal_joints is None else Percept(wanted.percept.frame, torch.tensor(goal_joints).double().numpy())
+    wanted = [find_percept(each, model.sensors, default_step=-1) for each in goal]
+    goals = [each.percept for each in wanted]
+    if goal_joints is not None:
+        goals = [Percept(goals[0].frame, torch.tensor(goal_joints).double().numpy())]
     begin = find_percept(start, model.sensors, default_step=0).percept if start else None
-    found = plan(model, start=begin, goal=percept, config=config)
+    legs = plan_in_turn(model, start=begin, goals=goals, config=config)
+    found = join(legs)
     commands, limited = commands_of(found, limits)
-    save_plan(found, out, scene=wanted.scene, commands=commands)
+    save_plan(found, out, scene=wanted[-1].scene, commands=commands)
     save_episode(found, out / "lerobot", commands=commands)
     film(found, None, out / "imagined.mp4")
     figure(found, None, out / "imagined.png")
+    if len(legs) > 1:
+        for number, leg in enumerate(legs, start=1):
+            print(f"goal {number} of {len(legs)}: arrives after {leg.arrival_step} steps, error {leg.error:.3f}, {leg.stopped.value}")
     seconds = found.arrival_step / found.rate_hz
     print(f"arrives at step {found.arrival_step} ({seconds:.1f} s), error {found.error:.3f}, planned in {found.seconds:.1f} s, in {out}")
     print(f"stopped: {found.stopped.value}")
