@@ -30,6 +30,7 @@ ORDER = [
     "plans",
     "sources",
     "execution",
+    "environments",
     "evaluation",
     "provenance",
     "experiments",
@@ -50,6 +51,7 @@ WALLS = {  # room -> what it never imports, wherever it stands
     "training": {"robot", "mujoco", "planning"},
     "regression": {"robot", "mujoco", "dataset", "training", "runs", "execution", "evaluation"},
     "planning": {"robot", "mujoco", "dataset", "training", "runs", "execution", "evaluation"},
+    "environments": {"torch", "model", "planning"},
     "execution": {"torch", "model", "planning"},
     "report": {"torch", "mujoco", "robot", "model", "planning", "training"},
 }
