@@ -125,10 +125,14 @@ def test_a_result_survives_json_and_agrees_with_its_rows(compared):
 
 
 def test_what_is_printed_claims_no_success(compared):
-    lines = lines_of(result_of_comparison(compared, {}))
+    result = result_of_comparison(compared, {})
+    lines = lines_of(result)
     assert lines[0] == "2 episodes that were never trained on: 3, 8"
     assert "no success rate" in lines[-1]
-    assert [line.split()[0] for line in lines[2:-2]] == ["imagined", "nearest_demonstration", "prior_mean", "staying"]
+    share = result["imagined_as_share_of"]["nearest_demonstration"]["joints_at_arrival"]
+    assert lines[6] == f"At arrival the imagined joints are off by {share:.2f} of the error of nearest_demonstration, on average."
+    assert lines[7].startswith("At arrival the imagined frame is off by ")
+    assert [line.split()[0] for line in lines[2:6]] == ["imagined", "nearest_demonstration", "prior_mean", "staying"]
 
 
 def test_films_show_best_median_and_worst(compared, tmp_path):

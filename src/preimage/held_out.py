@@ -202,6 +202,13 @@ def lines_of(result: Mapping[str, Any]) -> list[str]:
     for name, counted in {"imagined": result["imagined"], **result["baselines"]}.items():
         cells = [counted[key] for key in ("joints_at_arrival", "joints_on_the_way", "frame_at_arrival")]
         lines.append(f"{name:22s}" + "".join(f"{cell['mean']:>13.4g} ({cell['median']:>8.4g})" for cell in cells))
+    shares = result["imagined_as_share_of"]
+    for what, key, against in (
+        ("joints are", "joints_at_arrival", "nearest_demonstration"),
+        ("frame is", "frame_at_arrival", "staying"),
+    ):
+        if (share := shares[against][key]) is not None:
+            lines.append(f"At arrival the imagined {what} off by {share:.2f} of the error of {against}, on average.")
     return [*lines, "Joints are in the unit of the data, frames in squared grey levels (0 to 255).", result["note"]]
 
 
