@@ -95,6 +95,42 @@ def test_a_plan_to_an_episode_can_be_executed_and_judged(capsys, run_folder, dat
     assert (tmp_path / "film.gif").is_file()
 
 
+def test_a_plan_to_several_goals_is_one_plan_that_can_be_executed(capsys, run_folder, data, tmp_path):
+    goals = [f"{data}:0", f"{data}:2", f"{data}:1"]
+    cli.main(["plan", str(run_folder), "--goal", *goals, "--start", f"{data}:1", "--out", str(tmp_path / "plan"), *QUICK])
+    printed = capsys.readouterr().out.splitlines()
+    plan, scene = preimage.load_plan(tmp_path / "plan")
+    steps = [int(line.split("after ")[1].split()[0]) for line in printed[:3]]
+    assert [line[:11] for line in printed[:3]] == [f"goal {number} of 3" for number in (1, 2, 3)]
+    assert plan.arrival_step == sum(steps)
+    assert scene == preimage.load(data)[1].scene
+    np.testing.assert_array_equal(plan.goal.frame, preimage.load(data)[1].last.frame)
+    cli.main(["execute", str(tmp_path / "plan")])
+    assert "cm from the goal" in capsys.readouterr().out
+
+
+def test_joints_of_one_goal_among_several_are_told(refused, run_folder, data, tmp_path):
+    words = "--goal-joints", 0, 0, 0, 0, "--modalities", "joints"
+    code, sentence = refused("plan", run_folder, "--goal", f"{data}:0", f"{data}:1", "--out", tmp_path / "plan", *words)
+    assert (code, sentence) == (2, "--goal-joints are the joints of one goal, and --goal names 2: plan to one goal, or without joints")
+
+
+def test_a_plan_leaves_an_episode_that_keeps_to_the_limits(capsys, run_folder, data, tmp_path):
+    limits = {"joint1": {"lower": -0.001, "upper": 0.001, "step": 0.0005}}
+    (tmp_path / "limits.json").write_text(json.dumps(limits))
+    words = ["plan", str(run_folder), "--goal", f"{data}:1", "--out", str(tmp_path / "plan"), *QUICK]
+    cli.main([*words, "--joint-limits", str(tmp_path / "limits.json")])
+    assert "joint1 kept above -0.001 and below 0.001 units in " in capsys.readouterr().out
+    (episode,) = preimage.load(tmp_path / "plan" / "lerobot")
+    table = np.loadtxt(tmp_path / "plan" / "joints.csv", delimiter=",", skiprows=1, ndmin=2)[:, 1:]
+    for commands in (episode.joints[:, 0], table[:, 0]):
+        assert np.abs(commands).max() <= 0.001 + 1e-6
+        assert np.abs(np.diff(commands)).max(initial=0) <= 0.0005 + 2e-6
+    assert episode.joint_names == preimage.load(data)[0].joint_names
+    cli.main(words)  # into the same folder, without the file
+    assert "joint1 kept above -0.001" not in capsys.readouterr().out
+
+
 def test_plan_to_an_image_file(run_folder, demonstrations, tmp_path):
     Image.fromarray(demonstrations[0].last.frame[..., 0]).save(tmp_path / "goal.png")
     cli.main(["plan", str(run_folder), "--goal", str(tmp_path / "goal.png"), "--out", str(tmp_path / "plan"), *QUICK])

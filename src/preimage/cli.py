@@ -18,10 +18,12 @@ from preimage.dataset import fingerprint, open_recordings, save
 from preimage.evaluation import Evaluated, Loop, evaluate, result_of
 from preimage.execution import execute
 from preimage.experiments import SIZES, cells_of, paper_of, reproduce
+from preimage.held_out import compare_run, every_nth
+from preimage.limits import commands_of, limits_seen, read_limits
 from preimage.model import ModelConfig
 from preimage.options import refuse_out_of_range
-from preimage.planning import PlanConfig, plan
-from preimage.plans import load_plan, save_plan
+from preimage.planning import PlanConfig, join, plan_in_turn
+from preimage.plans import load_plan, save_episode, save_plan
 from preimage.provenance import provenance
 from preimage.records import Percept
 from preimage.report import figure, fill_readme, film, learning_curve, write_results
@@ -86,6 +88,7 @@ def train_(
     out: Path,
     size: Literal["tiny", "small", "paper"] = "small",
     resume: bool = False,
+    hold_out: int = 0,
     rate_hz: float | None = None,
     intention_dimensions: int | None = None,
     intention_cost: float | None = None,
@@ -99,7 +102,8 @@ def train_(
         data: a LeRobotDataset, v3.0 or v2.1, or a folder of pictures and tables of joints.
         out: run folder to write.
         size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
-        resume: go on with the run in `out`, with the sizes and settings it was started with.
+        resume: go on with the run in `out`, with the sizes, settings and held-out episodes it was started with.
+        hold_out: every Nth episode is not trained on but kept for `preimage evaluate --data`; 0 trains on all.
         rate_hz: steps a second that the model runs at, instead of the size's own.
         intention_dimensions: numbers that make an intention, instead of the size's own.
         intention_cost: charge for what an intention tells, instead of the size's own: 0.2 where most can be seen at the start.
@@ -109,18 +113,20 @@ def train_(
     """
     refuse_out_of_range(config)
     opened = open_recordings(data, view=read_view(out) if resume else view)
-    demonstrations, lines = opened.demonstrations, list(opened.told)
-    known = {"name": data.name, "fingerprint": fingerprint(demonstrations)}
-    about = {"size": size, "num_demonstrations": len(demonstrations), "data": known, "view": asdict(opened.view)}
+    recorded, lines = opened.demonstrations, list(opened.told)
+    learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "held_out": every_nth(len(recorded), hold_out)}
     asked = {"rate_hz": rate_hz, "intention_dimensions": intention_dimensions}
     asked |= {"intention_cost": intention_cost, "intention_layers": intention_layers}
     model_config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
     refuse_out_of_range(model_config)
     if resume:
         started = read_config(find_run(out)).get("data")
-        if not isinstance(started, dict) or started.get("fingerprint") != known["fingerprint"]:
+        if not isinstance(started, dict) or started.get("fingerprint") != learned_from["fingerprint"]:
             raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
+        learned_from = started
         model_config, config = read_settings(ModelConfig, out, "model"), read_settings(TrainConfig, out, "train")
+    held_out = learned_from.get("held_out", [])
+    demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
     with bar() as progress:
         shown = progress.add_task("training", total=config.updates)
 
@@ -130,45 +136,64 @@ def train_(
             errors = f"training  vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}"
             progress.update(shown, completed=told.update, description=errors)
 
+        about = {"size": size, "num_demonstrations": len(demonstrations), "data": learned_from, "view": asdict(opened.view)}
         about |= {"task": task_of(demonstrations), "provenance": provenance()}
         train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell)
     learning_curve(out / "log.jsonl", out / "learning_curve.png")
     write_card(out)
-    print(f"trained on {len(demonstrations)} demonstrations; the run is in {out}")
+    left_out = f", {len(held_out)} held out" if held_out else ""
+    print(f"trained on {len(demonstrations)} demonstrations{left_out}; the run is in {out}")
 
 
 def plan_(
     run: Positional[str],
-    goal: str,
+    goal: tuple[str, ...],
     out: Path,
     start: str | None = None,
     goal_joints: tuple[float, ...] | None = None,
+    joint_limits: Path | None = None,
     config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
 ) -> None:
-    """Imagine a way to a goal.
+    """Imagine a way to a goal, or to several in a row.
 
     Args:
         run: a run folder, or the name of a bundled model.
-        goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set.
-        out: folder to write: the plan, a film and a figure of it, and the joints as CSV.
+        goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set;
+            of several, each is planned to from where the plan to the one before ends, and the whole is one plan.
+        out: folder to write: the plan, a film and a figure of it, and the joints to command as CSV and as a LeRobotDataset.
         start: where the start comes from, likewise; by default the mean start of the demonstrations.
         goal_joints: joint angles of the goal (rad), for --modalities joints or both.
+        joint_limits: JSON of what may be commanded, joint by joint: lower, upper, velocity or step; by default what was demonstrated.
         config: how the plan is searched for.
     """
     refuse_out_of_range(config)
     if goal_joints is not None and config.modalities == "vision":
         raise ValueError("--goal-joints is not looked at while --modalities is vision: give --modalities joints, or both")
+    if goal_joints is not None and len(goal) != 1:
+        raise ValueError(f"--goal-joints are the joints of one goal, and --goal names {len(goal)}: plan to one goal, or without joints")
     model, view = load_model(run), read_view(run)
-    wanted = find_percept(goal, model.sensors, view=view, default_step=-1)
-    percept = wanted.percept if goal_joints is None else Percept(wanted.percept.frame, torch.tensor(goal_joints).double().numpy())
+    limits = limits_seen(model.sensors, read_shown(find_run(run)))
+    if joint_limits:
+        limits = read_limits(joint_limits, limits, rate_hz=model.config.rate_hz)
+    wanted = [find_percept(each, model.sensors, view=view, default_step=-1) for each in goal]
+    goals = [each.percept for each in wanted]
+    if goal_joints is not None:
+        goals = [Percept(goals[0].frame, torch.tensor(goal_joints).double().numpy())]
     begin = find_percept(start, model.sensors, view=view, default_step=0).percept if start else None
-    found = plan(model, start=begin, goal=percept, config=config)
-    save_plan(found, out, scene=wanted.scene)
+    legs = plan_in_turn(model, start=begin, goals=goals, config=config)
+    found = join(legs)
+    commands, limited = commands_of(found, limits)
+    save_plan(found, out, scene=wanted[-1].scene, commands=commands)
+    save_episode(found, out / "lerobot", commands=commands)
     film(found, None, out / "imagined.mp4")
     figure(found, None, out / "imagined.png")
+    if len(legs) > 1:
+        for number, leg in enumerate(legs, start=1):
+            print(f"goal {number} of {len(legs)}: arrives after {leg.arrival_step} steps, error {leg.error:.3f}, {leg.stopped.value}")
     seconds = found.arrival_step / found.rate_hz
     print(f"arrives at step {found.arrival_step} ({seconds:.1f} s), error {found.error:.3f}, planned in {found.seconds:.1f} s, in {out}")
     print(f"stopped: {found.stopped.value}")
+    print("\n".join(limited) or "no limit changed the joints to command")
 
 
 def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None) -> None:
@@ -192,6 +217,8 @@ def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.a
 def evaluate_(
     run: Positional[str],
     out: Path = Path("evaluation.json"),
+    data: Path | None = None,
+    films: Path | None = None,
     task: str = "reach",
     goals: int = 100,
     seed: int = 5000,
@@ -200,9 +227,13 @@ def evaluate_(
 ) -> None:
     """Count how often plans to goals that were never shown arrive, beside what luck would give.
 
+    With --data nothing is executed: plans are compared with recordings that were never trained on. That is no success rate.
+
     Args:
         run: a run folder, or the name of a bundled model.
         out: JSON file to write.
+        data: recordings to compare with, instead of the simulator; of the data that was trained on, the episodes held out.
+        films: folder for a few films, recorded beside imagined; for --data.
         task: name of the task.
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
@@ -211,6 +242,10 @@ def evaluate_(
     """
     known_task(task)
     refuse_out_of_range(config)
+    if data is not None:
+        return compare_with(data, run, out, films, config)
+    if films is not None:
+        raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     model, folder = load_model(run), find_run(run)
     made = made_from(folder)
     about = {"task": task, "model": run} | made
@@ -234,6 +269,18 @@ def evaluate_(
     print(summary("preimage", result))
     for name, baseline in result["baselines"].items():
         print(summary(name, baseline))
+
+
+def compare_with(data: Path, run: str, out: Path, films: Path | None, config: PlanConfig) -> None:
+    """The part of `evaluate` that needs no simulator."""
+    with bar() as progress:
+        shown = progress.add_task("planning", total=None)
+
+        def tell(done: int, of_all: int) -> None:
+            progress.update(shown, completed=done, total=of_all)
+
+        lines = compare_run(run, data, out=out, film_folder=films, config=config, progress=tell)
+    print("\n".join(lines))
 
 
 def reproduce_(
