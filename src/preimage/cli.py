@@ -14,7 +14,7 @@ from tyro.conf import Positional
 
 from preimage import demo as demonstration_of_it_all
 from preimage.bench import bench
-from preimage.dataset import fingerprint, load, save
+from preimage.dataset import fingerprint, open_recordings, save
 from preimage.evaluation import Evaluated, Loop, evaluate, result_of
 from preimage.execution import execute
 from preimage.experiments import SIZES, cells_of, paper_of, reproduce
@@ -26,10 +26,11 @@ from preimage.provenance import provenance
 from preimage.records import Percept
 from preimage.report import figure, fill_readme, film, learning_curve, write_results
 from preimage.robot import TASKS, Arm, record
-from preimage.runs import BUNDLED, find_run, load_model, made_from, read_config, read_settings, read_shown, write_card
+from preimage.runs import BUNDLED, find_run, load_model, made_from, read_config, read_settings, read_shown, read_view, write_card
 from preimage.sources import find_percept
 from preimage.training import NonFinite, TrainConfig, train
 from preimage.training import Progress as Told
+from preimage.view import View
 from preimage.whole_file import write_json
 
 console = Console(stderr=True)
@@ -89,12 +90,13 @@ def train_(
     intention_dimensions: int | None = None,
     intention_cost: float | None = None,
     intention_layers: tuple[str, ...] | None = None,
+    view: View = View(),  # noqa: B008, frozen
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008, frozen
 ) -> None:
     """Train a network on the demonstrations of a data set.
 
     Args:
-        data: a LeRobotDataset v3.0.
+        data: a LeRobotDataset, v3.0 or v2.1, or a folder of pictures and tables of joints.
         out: run folder to write.
         size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
         resume: go on with the run in `out`, with the sizes and settings it was started with.
@@ -102,32 +104,29 @@ def train_(
         intention_dimensions: numbers that make an intention, instead of the size's own.
         intention_cost: charge for what an intention tells, instead of the size's own: 0.2 where most can be seen at the start.
         intention_layers: layers whose initial states are the intention, instead of the size's own: top where most can be seen.
+        view: how the recordings are looked at.
         config: how the network learns.
     """
     refuse_out_of_range(config)
-    demonstrations = load(data)
-    about = {
-        "size": size,
-        "num_demonstrations": len(demonstrations),
-        "data": {"name": data.name, "fingerprint": fingerprint(demonstrations)},
-    }
-    asked = {
-        "rate_hz": rate_hz,
-        "intention_dimensions": intention_dimensions,
-        "intention_cost": intention_cost,
-        "intention_layers": intention_layers,
-    }
+    opened = open_recordings(data, view=read_view(out) if resume else view)
+    demonstrations, lines = opened.demonstrations, list(opened.told)
+    known = {"name": data.name, "fingerprint": fingerprint(demonstrations)}
+    about = {"size": size, "num_demonstrations": len(demonstrations), "data": known, "view": asdict(opened.view)}
+    asked = {"rate_hz": rate_hz, "intention_dimensions": intention_dimensions}
+    asked |= {"intention_cost": intention_cost, "intention_layers": intention_layers}
     model_config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
     refuse_out_of_range(model_config)
     if resume:
         started = read_config(find_run(out)).get("data")
-        if not isinstance(started, dict) or started.get("fingerprint") != about["data"]["fingerprint"]:
+        if not isinstance(started, dict) or started.get("fingerprint") != known["fingerprint"]:
             raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
         model_config, config = read_settings(ModelConfig, out, "model"), read_settings(TrainConfig, out, "train")
     with bar() as progress:
         shown = progress.add_task("training", total=config.updates)
 
         def tell(told: Told) -> None:
+            while lines:  # now that nothing is refused any more, and what is printed is not beside the point
+                print(lines.pop(0))
             errors = f"training  vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}"
             progress.update(shown, completed=told.update, description=errors)
 
@@ -159,10 +158,10 @@ def plan_(
     refuse_out_of_range(config)
     if goal_joints is not None and config.modalities == "vision":
         raise ValueError("--goal-joints is not looked at while --modalities is vision: give --modalities joints, or both")
-    model = load_model(run)
-    wanted = find_percept(goal, model.sensors, default_step=-1)
+    model, view = load_model(run), read_view(run)
+    wanted = find_percept(goal, model.sensors, view=view, default_step=-1)
     percept = wanted.percept if goal_joints is None else Percept(wanted.percept.frame, torch.tensor(goal_joints).double().numpy())
-    begin = find_percept(start, model.sensors, default_step=0).percept if start else None
+    begin = find_percept(start, model.sensors, view=view, default_step=0).percept if start else None
     found = plan(model, start=begin, goal=percept, config=config)
     save_plan(found, out, scene=wanted.scene)
     film(found, None, out / "imagined.mp4")

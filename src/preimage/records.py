@@ -1,4 +1,4 @@
-"""The nouns that travel between rooms: what is sensed, shown, planned, tried and counted.
+"""The nouns that travel between rooms: what is sensed, recorded, shown, planned, tried and counted.
 
 All of them are frozen and hold NumPy arrays. Lengths are metres, angles radians, times seconds. A frame is `uint8` of shape
 (H, W, C); joints are `float64` of shape (J,), in the order of `joint_names`.
@@ -76,6 +76,43 @@ class Demonstration:
     @property
     def last(self) -> Percept:
         return self[-1]
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One recording as it lies on disk, before anyone asks whether it is whole: F frames and T steps of joints need not agree."""
+
+    index: int
+    frames: UInt8[np.ndarray, "F H W C"]
+    """Those that could be read, cropped and scaled."""
+    joints: Float[np.ndarray, "T J"]
+    """All joints that were recorded, those that never move too, in the unit they were recorded in; NaN where there is no number."""
+    joint_names: tuple[str, ...]
+    timestamps_s: Float[np.ndarray, " T"] | None
+    """When each step was taken, where the recording tells."""
+    declared_length: int
+    """Steps that its index says it has."""
+    rate_hz: float
+    task: str | None
+    """What is shown, in words, where the recording tells."""
+    scene: Scene | None = None
+    faults: tuple[str, ...] = ()
+    """One sentence for each part that could not be read and is missing here."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a data set says of itself, before any frame is read."""
+
+    version: str
+    """The layout on disk: LeRobotDataset v3.0, LeRobotDataset v2.1 or folder."""
+    cameras: Mapping[str, tuple[int, int, int]]
+    """Height, width and channels of each camera."""
+    joint_names: tuple[str, ...]
+    rate_hz: float
+    num_episodes: int
+    joint_unit: str | None = None
+    """The joints' unit, where the data set tells."""
 
 
 @dataclass(frozen=True, eq=False)
