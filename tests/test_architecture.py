@@ -20,6 +20,7 @@ ORDER = [
     "lerobot_writing",
     "plain_folder",
     "dataset",
+    "examination",
     "cells",
     "intention",
     "model",
@@ -40,6 +41,7 @@ ORDER = [
     "bench",
     "report",
     "demo",
+    "check",
     "options",
     "cli",
 ]
@@ -54,6 +56,7 @@ WALLS = {  # room -> what it never imports, wherever it stands
     "regression": {"robot", "mujoco", "dataset", "training", "runs", "execution", "evaluation"},
     "planning": {"robot", "mujoco", "dataset", "training", "runs", "execution", "evaluation"},
     "execution": {"torch", "model", "planning"},
+    "examination": {"torch", "mujoco", "robot"},
     "report": {"torch", "mujoco", "robot", "model", "planning", "training"},
 }
 MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")

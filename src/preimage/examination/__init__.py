@@ -4,8 +4,9 @@ It reads no file and draws nothing. Each threshold stands by its name, with the 
 `recording` (lengths, clock), `joints`, `pictures` and `viewpoint` (camera), `goals`.
 
 >>> import numpy as np
+>>> from preimage.records import Episode
 >>> frames, joints = np.zeros((4, 8, 8, 1), np.uint8), np.linspace(0, 1, 8).reshape(4, 2)
->>> found = examine([Episode(0, frames, joints, ("yaw", "shoulder"), None, 4, 10.0)])
+>>> found = examine([Episode(0, frames, joints, ("yaw", "shoulder"), None, 4, 10.0, None)])
 >>> found.trainable, str(found.findings[0])
 (False, 'fault: blank frames: no frame shows anything; look whether the right camera was recorded')
 """
@@ -13,16 +14,16 @@ It reads no file and draws nothing. Each threshold stands by its name, with the 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from preimage.examination.episode import Episode
 from preimage.examination.findings import Finding, Kind, Severity
 from preimage.examination.goals import coverage, duplicates, spacing
 from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrest
 from preimage.examination.pictures import blank, moved, scene, stuck
-from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths
+from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths, unreadable
 from preimage.examination.seen import Seen, look_through
 from preimage.examination.viewpoint import CameraMove, camera_moves
+from preimage.records import Episode
 
-__all__ = ["CameraMove", "Episode", "Examination", "Finding", "Kind", "Seen", "Severity", "examine"]
+__all__ = ["CameraMove", "Examination", "Finding", "Kind", "Seen", "Severity", "examine"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ def examine(episodes: Iterable[Episode]) -> Examination:
     if not seen:
         raise ValueError("there is no episode to look at: record one or more")
     comparable, findings = alike(seen)
-    findings += [*lengths(comparable), *durations(comparable), *not_finite(comparable)]
+    findings += [*unreadable(seen), *lengths(comparable), *durations(comparable), *not_finite(comparable)]
     whole = [one for one in comparable if min(one.num_frames, one.num_steps) >= LEAST_STEPS]
     moves = camera_moves(whole)
     if whole:

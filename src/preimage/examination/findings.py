@@ -20,6 +20,7 @@ class Severity(enum.Enum):
 class Kind(enum.Enum):
     """What is found; the value is its name on the command line and on the page."""
 
+    UNREADABLE = "unreadable parts"
     UNLIKE = "episodes unlike each other"
     LENGTHS = "missing or extra frames"
     DURATION = "unusual duration"

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from preimage.examination.findings import Finding, Kind, Severity, at_places, in_episodes, listed
+from preimage.examination.findings import Finding, Kind, Severity, at_places, listed
 from preimage.examination.seen import Seen, scaled, spans
 
 FULL_TURN_RAD = 2 * np.pi

@@ -11,6 +11,8 @@ from preimage.examination.viewpoint import CameraMove, stretches
 
 STUCK_TRAVEL = 0.1
 """Share of a joint's span that it moves under frames that stay the same in every bit: more than a resting arm wobbles."""
+STUCK_FRAMES = 5
+"""Frames in a row that are the same: fewer are a camera that is slower than the recording."""
 LIVELY = 0.02
 """Share of all frames in which a pixel must change to belong to what happens: less is a flicker."""
 SMALL_PX = 6.0
@@ -48,7 +50,7 @@ def _stuck_at(one: Seen, scale: np.ndarray) -> Iterator[tuple[int, int]]:
     for same, run in groupby(range(len(one.same_as_before)), key=lambda step: bool(one.same_as_before[step])):
         steps = list(run)
         joints = one.joints[steps[0] : steps[-1] + 2]
-        if same and len(joints) and (np.ptp(joints, axis=0) / scale).max() > STUCK_TRAVEL:
+        if same and len(steps) >= STUCK_FRAMES and len(joints) and (np.ptp(joints, axis=0) / scale).max() > STUCK_TRAVEL:
             yield one.index, steps[0]
 
 

@@ -33,9 +33,17 @@ def alike(seen: Sequence[Seen]) -> tuple[list[Seen], list[Finding]]:
     return [one for one, kind in zip(seen, kinds, strict=True) if kind == usual], [found]
 
 
+def unreadable(seen: Sequence[Seen]) -> Iterator[Finding]:
+    broken = [one for one in seen if one.unreadable]
+    if broken:
+        count = sum(len(one.unreadable) for one in broken)
+        what = f"{in_episodes(one.index for one in broken)} lack {count} parts, the first: {broken[0].unreadable[0]}"
+        yield Finding(Kind.UNREADABLE, Severity.FAULT, what, "copy the data set again", tuple(one.index for one in broken))
+
+
 def lengths(seen: Sequence[Seen]) -> Iterator[Finding]:
-    """Frames, rows of joints and the length in the index must be one number."""
-    wrong = [one for one in seen if not one.num_frames == one.num_steps == one.declared_length]
+    """Frames, rows of joints and the length in the index must be one number, where all of them could be read."""
+    wrong = [one for one in seen if not one.unreadable and not one.num_frames == one.num_steps == one.declared_length]
     if not wrong:
         return
     worst = max(wrong, key=lambda one: abs(one.num_frames - one.num_steps))

@@ -4,13 +4,15 @@ An episode of 480 x 640 frames weighs as much as all that is kept of a hundred. 
 along the longer side, which is also what a network of the usual size would get to see.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from preimage.examination.episode import Episode
+from preimage.records import Episode
+from preimage.view import moving
 
 SIDE = 64
 """Pixels along the longer side at which frames are compared: the picture of the usual network."""
@@ -30,6 +32,8 @@ class Seen:
     rate_hz: float
     declared_length: int
     num_frames: int
+    unreadable: tuple[str, ...]
+    """One sentence for each part that could not be read."""
     joint_names: tuple[str, ...]
     recorded_joints: Float[np.ndarray, "T J"]
     joints: Float[np.ndarray, "T J"]
@@ -74,6 +78,7 @@ def look_through(episode: Episode) -> Seen:
         rate_hz=episode.rate_hz,
         declared_length=episode.declared_length,
         num_frames=num_frames,
+        unreadable=episode.faults,
         joint_names=episode.joint_names,
         recorded_joints=episode.joints,
         joints=_mended(episode.joints),
@@ -85,7 +90,7 @@ def look_through(episode: Episode) -> Seen:
         unsteady=quarters[2] - quarters[0],
         changes=away.mean(0, dtype=np.float32) if num_frames else quarters[0],
         goal=small[-1] if num_frames else quarters[0],
-        same_as_before=np.array([np.array_equal(a, b) for a, b in zip(frames[:-1], frames[1:], strict=True)], bool),
+        same_as_before=np.array([np.array_equal(a, b) for a, b in itertools.pairwise(frames)], bool),
         blank=small.std((1, 2)) < BLANK,
         moving_px=_moving_px(small),
     )
@@ -107,9 +112,9 @@ def spans(seen: Sequence[Seen]) -> Float[np.ndarray, " J"]:
 
 
 def scaled(seen: Sequence[Seen]) -> Float[np.ndarray, " J"]:
-    """What to divide each joint by, so that all that move count alike; infinite for those that hardly move."""
+    """What to divide each joint by, so that all that are learned count alike; infinite for the others (`view.moving`)."""
     span = spans(seen)
-    return np.where(span > 1e-3 * max(span.max(initial=0.0), 1e-12), span, np.inf)
+    return np.where(moving([one.joints for one in seen]) & (span > 0), span, np.inf)
 
 
 def _mended(joints: Float[np.ndarray, "T J"]) -> Float[np.ndarray, "T J"]:
