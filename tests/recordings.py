@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
+from preimage.dataset import save
 from preimage.records import Demonstration, Scene
 
 DATA, INDEX, INFO = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/info.json"
@@ -56,11 +57,8 @@ def png(size=(8, 6), mode="RGB") -> bytes:
     return file.getvalue()
 
 
-
 def save_noise(folder: Path) -> list[Demonstration]:
     """Three episodes of noise in a data set of our own, for damage to be done to."""
-    from preimage.dataset import save
-
     demonstrations = [noise(seed=seed, num_steps=3 + seed, scene=SCENE) for seed in range(3)]
     save(demonstrations, folder, task="reach the mark")
     return demonstrations
@@ -92,10 +90,10 @@ def joints_of(episode: int, length: int) -> np.ndarray:
 NAMES = ["pan", "frozen", "lift"]
 
 
-def write_video(path: Path, frames: Sequence[np.ndarray], *, rate_hz: int = 10) -> None:
+def write_video(path: Path, frames: Sequence[np.ndarray], *, rate_hz: int = 10, between_keys: int = 3) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w") as container:
-        stream = container.add_stream(CODEC, rate=rate_hz, options={"crf": "5", "g": "3"})
+        stream = container.add_stream(CODEC, rate=rate_hz, options={"crf": "5", "g": str(between_keys)})
         stream.height, stream.width = frames[0].shape[:2]
         stream.pix_fmt = "yuv420p"
         for frame in frames:
@@ -180,3 +178,22 @@ def write_plain(folder: Path, *, lengths: Sequence[int] = (5, 4), size: tuple[in
 
 
 WRITERS: dict[str, Callable[..., Path]] = {"v2.1": write_v21, "v3.0": write_v30, "plain": write_plain}
+
+
+# Damages
+
+
+def change_info(**changes):
+    return lambda folder: edit_json(folder / INFO, lambda info: info.update(changes))
+
+
+def write(path, content: bytes):
+    return lambda folder: (folder / path).write_bytes(content)
+
+
+def remove(path):
+    return lambda folder: (folder / path).unlink()
+
+
+def drop_column(path, name):
+    return lambda folder: pq.write_table(pq.read_table(folder / path).drop_columns([name]), folder / path)

@@ -17,6 +17,7 @@ import preimage
 from conftest import make_demonstration
 from preimage import cli
 from preimage.dataset import save
+from recordings import WRITERS, shade, shades
 
 DATA_FILE = "data/chunk-000/file-000.parquet"
 QUICK = ["--iterations", "2", "--horizon", "4"]
@@ -119,6 +120,60 @@ def test_evaluate_writes_counts_and_baselines(capsys, run_folder, tmp_path):
     assert [line.split()[0] for line in printed] == ["preimage", "do_nothing", "nearest_demonstration", "prior_mean"]
 
 
+@pytest.fixture(scope="module", params=["v2.1", "plain"])
+def foreign(request, tmp_path_factory) -> tuple[Path, Path]:
+    """Recordings of someone else, 160x96 in colour, and what was trained on a part of each picture."""
+    place = tmp_path_factory.mktemp("foreign")
+    data = WRITERS[request.param](place / "data")
+    words = ["--size", "tiny", "--updates", "2", "--view.crop", "0", "64", "96", "96", "--view.size", "32", "32"]
+    cli.main(["train", str(data), "--out", str(place / "run"), *words])
+    return data, place / "run"
+
+
+def test_a_run_keeps_how_it_saw_its_recordings(foreign):
+    view = json.loads((foreign[1] / "config.json").read_text())["view"]
+    assert view == {
+        "camera": None,
+        "joints": ["pan", "lift"],
+        "crop": [0, 64, 96, 96],
+        "size": [32, 32],
+        "colour": "colour",
+        "recorded": [96, 160],
+    }
+
+
+def test_training_tells_in_a_few_lines_what_it_sees(foreign, capsys, tmp_path):
+    cli.main(["train", str(foreign[0]), "--out", str(tmp_path / "run"), "--size", "tiny", "--updates", "1"])
+    *_, camera, joints, trained = capsys.readouterr().out.splitlines()
+    assert camera.endswith(": 160x96, seen at 64x32, in colour")
+    assert joints == "2 of 3 joints: pan, lift; left out, for they do not move: frozen"
+    assert trained.startswith("trained on 2 demonstrations")
+
+
+def test_a_goal_is_seen_as_the_recordings_were(foreign, tmp_path):
+    """The same step as a file, as the file at twice the size, and as an episode of the data."""
+    data, run = foreign
+    frame = Image.fromarray(shades(1, 4, (96, 160))[-1])
+    frame.save(tmp_path / "same.png")
+    frame.resize((320, 192)).save(tmp_path / "twice.png")
+    goals = []
+    for number, goal in enumerate((tmp_path / "same.png", tmp_path / "twice.png", f"{data}:1")):
+        cli.main(["plan", str(run), "--goal", str(goal), "--out", str(tmp_path / f"plan {number}"), *QUICK])
+        goals.append(preimage.load_plan(tmp_path / f"plan {number}")[0].goal.frame.astype(int))
+    assert goals[0].shape == (32, 32, 3)
+    assert goals[0][16, 2].tolist() == [200, 20, 20]  # the crop begins in the red half, 16 pixels before its end
+    assert goals[0][16, 20].tolist() == [shade(1, 3)] * 3
+    for other in goals[1:]:
+        np.testing.assert_allclose(other[:, 8:], goals[0][:, 8:], atol=4)
+
+
+def test_a_run_goes_on_with_the_view_it_began_with(foreign, tmp_path):
+    data, run = foreign
+    shutil.copytree(run, tmp_path / "run")
+    cli.main(["train", str(data), "--out", str(tmp_path / "run"), "--resume"])
+    assert (tmp_path / "run/config.json").read_bytes() == (run / "config.json").read_bytes()
+
+
 # What a user gets wrong
 
 
@@ -176,13 +231,22 @@ def test_nan_in_the_joints_of_a_data_set(refused, other_data, tmp_path):
     assert "episode 1: joints holds nan at step 2, joint " in sentence
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_frames_of_another_size_than_the_models(refused, run_folder, other_data, tmp_path):
-    data = other_data(size=(32, 32, 1))
+def test_frames_of_other_proportions_than_the_models(refused, run_folder, other_data, tmp_path):
+    data = other_data(size=(32, 48, 1), num_joints=4)
     code, sentence = refused("plan", run_folder, "--goal", f"{data}:0", "--out", tmp_path / "plan")
     assert code == 2
-    assert sentence == "the goal's frame is (32, 32, 1) (height, width, channels), the model sees (64, 64, 1)"
+    assert sentence.endswith("is 48x32 pixels, the model sees 64x64: scale or crop it")
     assert not (tmp_path / "plan").exists()
+
+
+def test_a_view_that_does_not_fit(refused, data, tmp_path):
+    train = "train", data, "--out", tmp_path / "run", "--size", "tiny"
+    assert (
+        "the crop (0, 0, 65, 64) (top, left, height, width) does not lie in a picture of 64x64"
+        in refused(*train, "--view.crop", 0, 0, 65, 64)[1]
+    )
+    assert "has no camera wrist" in refused(*train, "--view.camera", "wrist")[1]
+    assert "has no joint elbow" in refused(*train, "--view.joints", "elbow")[1]
 
 
 def test_frames_that_no_ladder_fits(refused, other_data, tmp_path):
@@ -212,7 +276,7 @@ def test_five_joints_for_a_model_of_four(refused, run_folder, data, other_data, 
     plan = "plan", run_folder, "--out", tmp_path / "plan"
     five = other_data(num_joints=5)
     code, sentence = refused(*plan, "--goal", f"{data}:0", "--start", f"{five}:0")
-    assert (code, sentence) == (2, "the start has 5 joints, the model was trained with 4")
+    assert (code, sentence) == (2, f"{five} has no joint joint1: it has joint 0, joint 1, joint 2, joint 3, joint 4")
     joints = "--goal-joints", 0, 0, 0, 0, 0, "--modalities", "joints"
     assert refused(*plan, "--goal", f"{data}:0", *joints) == (2, "the goal has 5 joints, the model was trained with 4")
 

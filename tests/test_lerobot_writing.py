@@ -1,7 +1,6 @@
 """LeRobot finds what it expects; what cannot be written is told, and leaves nothing behind."""
 
 import io
-import itertools
 import json
 from pathlib import Path
 
@@ -9,14 +8,21 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from PIL import Image
 
-from preimage.dataset import fingerprint, load, save
-from preimage.records import Demonstration, Scene
-from preimage.view import View
-from recordings import *
+from preimage.dataset import load, save
+from preimage.records import Demonstration
+from recordings import (
+    CAMERA,
+    DATA,
+    INDEX,
+    INFO,
+    SCENE,
+    assert_equal,
+    noise,
+    save_noise,
+)
+
 
 @pytest.fixture
 def folder(tmp_path) -> Path:

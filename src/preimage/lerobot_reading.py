@@ -92,7 +92,7 @@ def read_episodes(folder: Path, eye: Eye, only: Collection[int] | None = None) -
             scene = scenes[place.episode] if place.episode < len(scenes) else None
             faults = (*unread, *unfit, *unseen)
             about = {"rate_hz": float(info["fps"]), "task": place.task, "scene": scene, "faults": faults}
-            yield Episode(place.episode, frames, joints, names, _times(steps), place.length, **about)
+            yield Episode(place.episode, frames, joints, names, None if unfit else _times(steps), place.length, **about)
 
 
 def _pictures(place: Place, steps: pa.Table, camera: str, where: str, fps: float) -> Iterator[Picture]:

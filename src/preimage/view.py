@@ -30,17 +30,18 @@ LADDER = 16
 """What a ladder of three levels needs: sides that are multiples of this."""
 LONGEST, LONGEST_KEPT = 64, 128
 """The longer side of frames that are shrunk, and of frames that stay as they are where both sides fit the ladder (pixels)."""
-SHARE_OF_RANGE = 1 / 3
-"""A joint moves where one episode in ten crosses this share of all angles that it takes in the set; what is only put elsewhere between
-episodes does not."""
-SHARE_OF_LARGEST = 0.01
-"""And where it crosses this share of what the liveliest joint crosses: less is the noise of a sensor."""
+LIVELY, LEAST, SHARE_OF_RANGE = 1 / 5, 1 / 100, 1 / 3
+"""A joint moves where one episode in ten crosses `LIVELY` of what the liveliest joint crosses. As units differ (a gripper in metres beside
+radians), it does too where that is above `LEAST`, the noise of a sensor, and `SHARE_OF_RANGE` of all angles that the joint takes in the
+set: what was only put elsewhere between episodes does not move."""
 ALIKE = 0.02
 """Two sizes have the same proportions where they differ by less than this share: 854x480 counts as 16:9."""
 COLOURS: Mapping[int, Literal["grey", "colour"]] = {1: "grey", 3: "colour"}
 """What frames of so many channels are; four are colour and depth."""
 
 Frame = UInt8[np.ndarray, "H W C"]
+Seen = UInt8[np.ndarray, "h w c"]
+"""A frame as the view shows it."""
 Picture = Frame | str
 """A frame, or one sentence on why there is none."""
 
@@ -90,7 +91,7 @@ def settled(view: View, height: int, width: int) -> View:
     return replace(view, size=view.size or default_size(tall, wide), recorded=(height, width))
 
 
-def look(frame: Frame, view: View, where: str) -> Frame:
+def look(frame: Frame, view: View, where: str) -> Seen:
     """What a settled view shows of a picture: of the recordings' size, of their proportions, or as small as the network sees it already.
 
     Args:
@@ -120,18 +121,18 @@ def refuse_other_proportions(came: tuple[int, ...], view: View, where: str) -> N
     raise ValueError(f"{where} is {width}x{height} pixels, the model sees {view.size[1]}x{view.size[0]}: scale or crop it{other}")
 
 
-def scaled(frame: Frame, size: tuple[int, int]) -> Frame:
+def scaled(frame: Frame, size: tuple[int, int]) -> Seen:
     """The frame at another (height, width), each pixel the mean of those it covers."""
     if frame.shape[:2] == size:
         return frame
     # Colour and depth apart: Pillow takes a fourth channel for opacity and weighs colours with it.
     parts = (frame[..., :3], frame[..., 3:]) if frame.shape[-1] == 4 else (frame,)
     images = (Image.fromarray(np.ascontiguousarray(part[..., 0] if part.shape[-1] == 1 else part)) for part in parts)
-    smaller = [np.asarray(image.resize(size[::-1], Image.Resampling.BILINEAR)).reshape(*size, -1) for image in images]
+    smaller = [np.asarray(image.resize((size[1], size[0]), Image.Resampling.BILINEAR)).reshape(*size, -1) for image in images]
     return np.concatenate(smaller, axis=-1)  # (H, W, C)
 
 
-def coloured(frame: Frame, colour: Literal["keep", "grey", "colour"]) -> Frame:
+def coloured(frame: Frame, colour: Literal["keep", "grey", "colour"]) -> Seen:
     """The frame in grey (one channel) or in colour (three), or as it is."""
     channels = frame.shape[-1]
     if colour == "grey" and channels > 1:
@@ -142,7 +143,7 @@ def coloured(frame: Frame, colour: Literal["keep", "grey", "colour"]) -> Frame:
     return frame
 
 
-def telling_channels(recordings: Sequence[UInt8[np.ndarray, "F H W C"]]) -> int:
+def telling_channels(recordings: Sequence[UInt8[np.ndarray, "_F H W C"]]) -> int:
     """How many channels say something: not a fourth that is opaque everywhere, not three that are the same grey everywhere."""
     channels = recordings[0].shape[-1]
     if channels == 4 and all((frames[..., 3] == 255).all() for frames in recordings):
@@ -152,11 +153,12 @@ def telling_channels(recordings: Sequence[UInt8[np.ndarray, "F H W C"]]) -> int:
     return channels
 
 
-def moving(recordings: Sequence[Float[np.ndarray, "T J"]]) -> Bool[np.ndarray, " J"]:
+def moving(recordings: Sequence[Float[np.ndarray, "_T J"]]) -> Bool[np.ndarray, " J"]:
     """Which joints move; all of them where none does."""
     within = np.quantile([np.ptp(joints, axis=0) for joints in recordings], 0.9, axis=0)  # (J,)
     overall = np.ptp(np.concatenate(recordings), axis=0)
-    moves = (within > 0) & (within >= SHARE_OF_RANGE * overall) & (within >= SHARE_OF_LARGEST * within.max())
+    lively, above_noise = within >= LIVELY * within.max(), within >= LEAST * within.max()
+    moves = (within > 0) & (lively | (above_noise & (within >= SHARE_OF_RANGE * overall)))
     return moves if moves.any() else np.ones_like(moves)
 
 
