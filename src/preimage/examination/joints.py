@@ -65,7 +65,7 @@ def jumps(seen: Sequence[Seen]) -> Iterator[Finding]:
     speeds = np.concatenate([np.abs(np.diff(joints, axis=0)) for joints in smooth])
     span, fast = spans(seen), np.percentile(speeds, 99, axis=0)
     least = np.maximum(SPIKE * span, SPIKE_SPEEDS * fast) + 1e-9
-    leap = np.maximum(_leap_speed(speeds), SPIKE * span) + 1e-9
+    leap = np.maximum(_leap_speed(speeds), SPIKE * span)
     places, joints = [], np.zeros(len(span), bool)
     for one, smoothed in zip(seen, smooth, strict=True):
         strange = np.abs(one.joints - smoothed) > least  # (T, J)

@@ -77,11 +77,11 @@ def scene(seen: Sequence[Seen]) -> Iterator[Finding]:
         return
     rows, columns = np.flatnonzero(lively.any(1))[[0, -1]] + (0, 1), np.flatnonzero(lively.any(0))[[0, -1]] + (0, 1)
     height, width = lively.shape
-    per_pixel = max(seeing[0].shape[:2]) / max(height, width)
     gain = max(height, width) / max(np.ptp(rows), np.ptp(columns))
-    crop = [round(float(edge * per_pixel)) for edge in (*rows, *columns)]
     what = f"at {width} x {height} pixels {100 * lively.mean():.0f} % of the frame ever changes and what moves is {size_px:.0f} pixels wide"
     if gain > 1.1:
-        what += f"; cropped to rows {crop[0]} to {crop[1]} and columns {crop[2]} to {crop[3]} it would be {size_px * gain:.0f}"
+        (top, bottom), (left, right) = 100 * rows / height, 100 * columns / width
+        what += f"; cropped to {top:.0f} to {bottom:.0f} % of the height and {left:.0f} to {right:.0f} % of the width it would be "
+        what += f"{size_px * gain:.0f}"
     help_ = f"crop, move the camera closer, or train with more than {SIDE} pixels" if size_px < SMALL_PX else ""
     yield Finding(Kind.SCENE, Severity.NOTE, what, help_)

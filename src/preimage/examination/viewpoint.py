@@ -120,8 +120,8 @@ def find_shift(
     around, known = np.pad(other, REACH), np.pad(steady, REACH)
     misfit = np.minimum(np.abs(other - one), CHANGE)[rows, columns]
     best, most, votes = None, 0.0, (0, 0)
-    for shift in itertools.product(range(-REACH, REACH + 1), repeat=2):
-        there = rows + REACH + shift[0], columns + REACH + shift[1]
+    for down, right in itertools.product(range(-REACH, REACH + 1), repeat=2):
+        there = rows + REACH + down, columns + REACH + right
         weights = known[there].astype(np.float64)  # the same pixels are compared with and without the shift
         left = np.minimum(np.abs(around[there] - one[rows, columns]), CHANGE)
         count = np.bincount(part, weights, PARTS**2)
@@ -129,6 +129,6 @@ def find_shift(
         before = np.bincount(part, weights * misfit, PARTS**2)[judged] / count[judged]
         after = np.bincount(part, weights * left, PARTS**2)[judged] / count[judged]
         if (gain := float((before - after).sum())) > most:
-            best, most = shift, gain
+            best, most = (down, right), gain
             votes = int(((before >= MISFIT) & (after <= EXPLAINED * before)).sum()), int((after > before + 1).sum())
     return best if best and votes[0] >= LEAST_PARTS and votes[0] > 2 * votes[1] and np.hypot(*best) >= SHIFTED_PX else None
