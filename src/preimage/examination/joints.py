@@ -43,7 +43,7 @@ def frozen(seen: Sequence[Seen]) -> Iterator[Finding]:
     if still.all():
         yield Finding(Kind.FROZEN, Severity.FAULT, "no joint ever moves", "look whether the joints were recorded", joints=names)
     elif names:
-        what = f"{', '.join(names)} never move; training leaves them out"
+        what = f"{', '.join(names)} hardly move within an episode; training leaves them out where they are not named (--view.joints)"
         yield Finding(Kind.FROZEN, Severity.NOTE, what, joints=names)
 
 

@@ -88,14 +88,12 @@ def _picture(name: str, words: str, drawing: Figure) -> str:
 
 
 def _contact_sheet(shown: Sequence[Seen], flagged: set[int]) -> Figure:
-    """Flagged episodes first in line for a place, the others evenly spread; in the order of recording."""
-    chosen = [one for one in shown if one.index in flagged][:MOST_SHOWN]
-    others = [one for one in shown if one not in chosen]
-    left = min(len(others), MOST_SHOWN - len(chosen))
-    chosen += [others[place] for place in np.linspace(0, len(others) - 1, left).astype(int)] if left else []
+    """Flagged episodes are first in line for a place; all in the order of recording."""
+    chosen = _spread([one for one in shown if one.index in flagged], MOST_SHOWN)
+    chosen += _spread([one for one in shown if one.index not in flagged], MOST_SHOWN - len(chosen))
     chosen.sort(key=lambda one: one.index)
     side = WIDTH_INCHES / NUM_COLUMNS
-    row_inches = side * (1 + 2 * chosen[0].shape[0] / chosen[0].shape[1])
+    row_inches = side * (0.3 + 2 * chosen[0].shape[0] / chosen[0].shape[1])
     num_rows = -(-len(chosen) // NUM_COLUMNS)
     drawing = sheet(num_rows * row_inches)
     axes = drawing.add_axes((0, 0, 1, 1), xlim=(0, WIDTH_INCHES), ylim=(num_rows * row_inches, 0))
@@ -110,6 +108,11 @@ def _contact_sheet(shown: Sequence[Seen], flagged: set[int]) -> Figure:
         axes.text(left + 0.48 * side, top + row_inches - 0.12 * side, str(one.index), fontsize=8, ha="center", color=colour)
     axes.set(xlim=(0, WIDTH_INCHES), ylim=(num_rows * row_inches, 0))
     return drawing
+
+
+def _spread(some: Sequence[Seen], most: int) -> list[Seen]:
+    """No more than so many of them, evenly spread."""
+    return [some[place] for place in np.linspace(0, len(some) - 1, min(most, len(some))).astype(int)]
 
 
 def _moves(shown: Sequence[Seen], moves: Sequence[CameraMove]) -> Figure:
