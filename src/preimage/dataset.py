@@ -61,7 +61,7 @@ def open_recordings(folder: Path | str, *, view: View = AS_IT_IS, only: Collecti
     saved; of others those that move.
 
     Args:
-        view: how to look at them; what it leaves open is settled by the data.
+        view: how to look at them; what it leaves open is settled by the episodes that are read.
         only: numbers of the episodes to read; by default all.
 
     Raises:
