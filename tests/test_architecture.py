@@ -20,6 +20,7 @@ ORDER = [
     "lerobot_writing",
     "plain_folder",
     "dataset",
+    "examination",
     "cells",
     "intention",
     "model",
@@ -43,6 +44,7 @@ ORDER = [
     "report",
     "held_out",
     "demo",
+    "check",
     "options",
     "cli",
 ]
@@ -58,6 +60,7 @@ WALLS = {  # room -> what it never imports, wherever it stands
     "planning": {"robot", "mujoco", "dataset", "training", "runs", "execution", "evaluation"},
     "environments": {"torch", "model", "planning"},
     "execution": {"torch", "model", "planning"},
+    "examination": {"torch", "mujoco", "robot"},
     "report": {"torch", "mujoco", "robot", "model", "planning", "training"},
 }
 MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")

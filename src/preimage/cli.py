@@ -14,6 +14,7 @@ from tyro.conf import Positional
 
 from preimage import demo as demonstration_of_it_all
 from preimage.bench import bench
+from preimage.check import check
 from preimage.dataset import fingerprint, open_recordings, save
 from preimage.evaluation import Evaluated, Loop, evaluate, result_of
 from preimage.execution import execute
@@ -362,6 +363,7 @@ def task_of(demonstrations: list) -> str | None:
 VERBS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "record": record_,
+    "check": check,
     "train": train_,
     "plan": plan_,
     "execute": execute_,
