@@ -60,7 +60,7 @@ def png(size=(8, 6), mode="RGB") -> bytes:
 def save_noise(folder: Path) -> list[Demonstration]:
     """Three episodes of noise in a data set of our own, for damage to be done to."""
     demonstrations = [noise(seed=seed, num_steps=3 + seed, scene=SCENE) for seed in range(3)]
-    save(demonstrations, folder, task="reach the mark")
+    save(demonstrations, folder, task="reach the mark", joint_unit="rad")
     return demonstrations
 
 

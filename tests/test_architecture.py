@@ -44,7 +44,6 @@ ORDER = [
     "report",
     "held_out",
     "demo",
-    "check",
     "options",
     "cli",
 ]

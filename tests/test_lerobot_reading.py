@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from preimage.dataset import describe, load
+from preimage.dataset import describe, load, save
 from preimage.records import Demonstration
 from preimage.view import View
 from recordings import (
@@ -88,7 +88,12 @@ def test_the_camera_can_be_chosen(folder, demonstrations):
 def test_channels_may_come_first(folder):
     edit_json(folder / INFO, lambda info: info["features"][CAMERA].update(shape=[3, 480, 640], names=["channels", "height", "width"]))
     assert describe(folder).cameras == {CAMERA: (480, 640, 3)}
+
+
+def test_the_unit_of_the_joints_is_told_where_it_is_known(folder, tmp_path):
     assert describe(folder).joint_unit == "rad"
+    save(load(folder), tmp_path / "unknown", task="reach")
+    assert describe(tmp_path / "unknown").joint_unit is None
 
 
 # Errors on reading

@@ -11,15 +11,20 @@ SIDES = st.integers(1, 2000)
 
 
 @given(SIDES, SIDES)
-def test_what_the_network_sees_fits_the_ladder_or_is_as_it_was(height, width):
+def test_what_the_network_sees_fits_the_ladder(height, width):
     tall, wide = default_size(height, width)
-    assert tall <= max(height, 16)
-    assert wide <= max(width, 16)
-    assert max(tall, wide) <= 128
-    if (tall, wide) != (height, width):
-        assert max(tall, wide) == 64
+    if min(height, width) < 16 and max(height, width) <= 64:
+        assert (tall, wide) == (height, width)
+    else:
         assert tall % 16 == wide % 16 == 0
+    assert max(tall, wide) <= (128 if (tall, wide) == (height, width) else 64)
     assert default_size(tall, wide) == (tall, wide)
+
+
+@given(st.integers(16, 64), st.integers(16, 64))
+def test_a_small_picture_keeps_each_side_but_for_half_a_rung(height, width):
+    tall, wide = default_size(height, width)
+    assert max(abs(tall - height), abs(wide - width)) <= 8
 
 
 @given(SIDES, SIDES)

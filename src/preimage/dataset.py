@@ -22,7 +22,7 @@ import numpy as np
 from preimage import lerobot_reading, plain_folder
 from preimage.lerobot_reading import EXTRAS, INFO
 from preimage.lerobot_writing import save
-from preimage.records import Demonstration, Description, Episode
+from preimage.records import Body, Demonstration, Description, Episode
 from preimage.view import COLOURS, Eye, View, moving, telling_channels
 
 __all__ = ["Opened", "describe", "fingerprint", "load", "open_recordings", "read_episodes", "save"]
@@ -37,6 +37,8 @@ class Opened:
     demonstrations: list[Demonstration]
     view: View
     """How they were looked at: what the asked view left open is settled."""
+    body: Body
+    """All joints that were recorded, those that were left out too."""
     told: tuple[str, ...]
     """What there is and what was chosen, in two or three lines."""
 
@@ -74,12 +76,13 @@ def open_recordings(folder: Path | str, *, view: View = AS_IT_IS, only: Collecti
     _refuse_other_numbers([episode.index for episode in episodes], description.num_episodes, only, folder)
     demonstrations = [_demonstration(episode, folder) for episode in episodes]
     joints = _chosen_joints(demonstrations, eye.view, folder)
+    body = Body(description.joint_names, _held(demonstrations, joints), description.joint_unit)
     demonstrations = [_with_joints(each, joints) for each in demonstrations]
     channels = demonstrations[0].frames.shape[-1]
     if view.colour == "keep" and (telling := telling_channels([each.frames for each in demonstrations])) != channels:
         channels, demonstrations = telling, [replace(each, frames=each.frames[..., :telling].copy()) for each in demonstrations]
     settled = replace(eye.view, joints=joints, colour=COLOURS.get(channels, "keep"))
-    return Opened(demonstrations, settled, _told(demonstrations, description, settled, chosen=view.joints is not None))
+    return Opened(demonstrations, settled, body, _told(demonstrations, description, settled, chosen=view.joints is not None))
 
 
 def read_episodes(folder: Path | str, *, view: View = AS_IT_IS, only: Collection[int] | None = None) -> Iterator[Episode]:
@@ -169,6 +172,11 @@ def _chosen_joints(demonstrations: Sequence[Demonstration], view: View, folder: 
     if not view.joints or len(set(view.joints)) != len(view.joints):
         raise ValueError(f"joints are {', '.join(view.joints) or 'none'}: name one or more, each once")
     return view.joints
+
+
+def _held(demonstrations: Sequence[Demonstration], joints: tuple[str, ...]) -> dict[str, float]:
+    starts = np.median([each.joints[0] for each in demonstrations], axis=0).tolist()
+    return {name: start for name, start in zip(demonstrations[0].joint_names, starts, strict=True) if name not in joints}
 
 
 def _with_joints(demonstration: Demonstration, joints: tuple[str, ...]) -> Demonstration:

@@ -27,7 +27,7 @@ from preimage.planning import PlanConfig, imagine_library, imagine_without_goal,
 from preimage.provenance import provenance
 from preimage.records import Demonstration, Plan, Shown
 from preimage.report import film
-from preimage.runs import find_run, load_model, made_from, read_config, read_shown
+from preimage.runs import find_run, load_model, made_from, read_config, read_shown, read_view
 from preimage.sequences import at_rate
 from preimage.whole_file import write_json
 
@@ -143,7 +143,7 @@ def compare_run(
     Raises:
         ValueError: there is no such run or data set, they do not fit together, or every episode was trained on.
     """
-    model, folder, recorded = load_model(run), find_run(run), load(data)
+    model, folder, recorded = load_model(run), find_run(run), load(data, view=read_view(run))
     shown = read_shown(folder)
     episodes = never_shown(recorded, shown)
     if not episodes:

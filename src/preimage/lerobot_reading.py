@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from preimage.pictures import AGAIN, decode, video_frames
-from preimage.records import Description, Episode, Scene
+from preimage.records import Description, Episode, Scene, scene_of
 from preimage.view import Eye, Picture
 
 VERSIONS = "v2.1", "v3.0"
@@ -270,16 +270,9 @@ def _read_scenes(folder: Path, num_episodes: int) -> list[Scene | None]:
     if not path.exists():
         return []
     try:
-        scenes = [_scene_from_json(scene) for scene in _read_json(path)["scenes"]]
+        scenes = [scene_of(scene) for scene in _read_json(path)["scenes"]]
     except (AttributeError, KeyError, TypeError) as error:
         raise ValueError(f"{path} has no usable scenes: repair it, or remove it to load the data set without scenes") from error
     if len(scenes) != num_episodes:
         raise ValueError(f"{path} has {len(scenes)} scenes for {num_episodes} episodes: remove it to load the data set without scenes")
     return scenes
-
-
-def _scene_from_json(scene: dict[str, Any] | None) -> Scene | None:
-    if scene is None:
-        return None
-    positions_m = {name: tuple(position) for name, position in scene["positions_m"].items()}
-    return Scene(scene["task"], tuple(scene["start_joints"]), positions_m)

@@ -42,7 +42,7 @@ Statistics = dict[str, list[Any]]
 """min, max, mean, std, count and the QUANTILES of one column, as nested lists ready for JSON."""
 
 
-def save(demonstrations: Sequence[Demonstration], folder: Path | str, *, task: str) -> None:
+def save(demonstrations: Sequence[Demonstration], folder: Path | str, *, task: str, joint_unit: str | None = None) -> None:
     """`folder` holds the demonstrations, all of them; after a failure it is as it was before.
 
     The action of a step is the joints one step later, the last repeated: what a replay commands. Grey frames are written as three
@@ -50,6 +50,7 @@ def save(demonstrations: Sequence[Demonstration], folder: Path | str, *, task: s
 
     Args:
         task: what is shown, in words, for policies conditioned on language.
+        joint_unit: the unit of the joints, where it is known; LeRobot has no place for it, so it stands in ours.
 
     Raises:
         ValueError: there is something in the folder, or the demonstrations do not agree in frame size, joints or rate.
@@ -62,7 +63,7 @@ def save(demonstrations: Sequence[Demonstration], folder: Path | str, *, task: s
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
         draft = Path(scratch) / folder.name
-        _write(demonstrations, draft, task)
+        _write(demonstrations, draft, task, joint_unit)
         draft.replace(folder)
 
 
@@ -86,7 +87,7 @@ def _check_alike(demonstrations: Sequence[Demonstration]) -> None:
                 raise ValueError(f"demonstration {number} has {what} {its}, the first {firsts}: one data set takes one kind")
 
 
-def _write(demonstrations: Sequence[Demonstration], folder: Path, task: str) -> None:
+def _write(demonstrations: Sequence[Demonstration], folder: Path, task: str, joint_unit: str | None) -> None:
     features = _features(demonstrations[0])
     data_file, index_file = (folder / name.format(chunk=0, file=0) for name in (DATA, EPISODES))
     data_file.parent.mkdir(parents=True)
@@ -102,7 +103,7 @@ def _write(demonstrations: Sequence[Demonstration], folder: Path, task: str) -> 
     everything = {name: np.concatenate([each[name] for each in numbers]) for name in numbers[0]}
     _write_json(folder / STATS, _statistics(everything, np.sum(histograms, axis=0)))
     _write_json(folder / INFO, _info(features, demonstrations[0].rate_hz, len(demonstrations), starts[-1]))
-    _write_json(folder / EXTRAS, {"joint_unit": "rad", "scenes": [each.scene and asdict(each.scene) for each in demonstrations]})
+    _write_json(folder / EXTRAS, {"joint_unit": joint_unit, "scenes": [each.scene and asdict(each.scene) for each in demonstrations]})
 
 
 def _features(demonstration: Demonstration) -> dict[str, dict[str, Any]]:

@@ -22,7 +22,7 @@ from preimage.records import Plan, Shown
 from preimage.sequences import LIMIT_MARGIN
 
 UNIT = "units"
-"""What a unit is called where nobody said which it is: that of the training data."""
+"""What the joints' unit is called where nobody said which it is."""
 KEYS = ("lower", "upper", "velocity", "step")
 
 
@@ -41,15 +41,18 @@ class Limits:
     """In units a second."""
 
 
-def limits_seen(sensors: Sensors, shown: Sequence[Shown]) -> Limits:
+def limits_seen(sensors: Sensors, shown: Sequence[Shown], *, unit: str | None = None) -> Limits:
     """The limits that the demonstrations speak for: the range of each joint as the model codes it, and the fastest step seen.
 
     The range is the one seen, widened by LIMIT_MARGIN of it. A joint that hardly moved may still cross that share of its range in a second.
+
+    Args:
+        unit: of the joints, where it is known.
     """
     lower, upper = np.array(sensors.joint_lower), np.array(sensors.joint_upper)
     fastest = np.max([np.abs(np.diff(one.joints, axis=0)).max(0) * one.rate_hz for one in shown], axis=0)
     velocity = np.maximum(fastest, LIMIT_MARGIN * (upper - lower))
-    return Limits(sensors.joint_names, (UNIT,) * sensors.num_joints, lower, upper, velocity)
+    return Limits(sensors.joint_names, (unit or UNIT,) * sensors.num_joints, lower, upper, velocity)
 
 
 def read_limits(path: Path, others: Limits, *, rate_hz: float) -> Limits:

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from preimage.dataset import save
-from preimage.records import Demonstration, Percept, Plan, Scene, Stopped
+from preimage.records import Body, Demonstration, Percept, Plan, Scene, Stopped, scene_of
 from preimage.whole_file import whole_file
 
 ARRAYS = ("frames", "joints", "errors", "intention")
@@ -55,7 +55,9 @@ def save_plan(plan: Plan, folder: Path | str, *, scene: Scene | None = None, com
         about.write_text(json.dumps(facts, indent=2) + "\n")
 
 
-def save_episode(plan: Plan, folder: Path | str, *, commands: Float[np.ndarray, "S J"], task: str = "reach the goal") -> None:
+def save_episode(
+    plan: Plan, folder: Path | str, *, commands: Float[np.ndarray, "S J"], body: Body | None = None, task: str = "reach the goal"
+) -> None:
     """Write what is to be commanded, with the imagined frames, as a LeRobotDataset of one episode; a former one is replaced.
 
     `lerobot-replay` sends its actions: the joints one step later, the last repeated. Joints have the names and the unit of the training
@@ -63,6 +65,7 @@ def save_episode(plan: Plan, folder: Path | str, *, commands: Float[np.ndarray, 
 
     Args:
         commands: as `limits.commands_of` gives them.
+        body: all joints of the recordings (`runs.read_body`), of which those that the plan does not move are held; by default the plan's.
         task: what is done, in words.
 
     Raises:
@@ -72,11 +75,12 @@ def save_episode(plan: Plan, folder: Path | str, *, commands: Float[np.ndarray, 
     steps = np.arange(max(2, len(commands)))  # an episode has a start and an end, even where the arm stays
     frames = plan.frames[np.minimum(steps, plan.arrival_step)]
     frames = frames[..., :3] if frames.shape[-1] >= 3 else frames[..., :1]
-    joints = commands[np.minimum(steps, len(commands) - 1)]
+    body = body or Body(plan.joint_names)
+    joints = body.whole(commands[np.minimum(steps, len(commands) - 1)], plan.joint_names)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
         draft = Path(scratch) / folder.name
-        save([Demonstration(frames, joints, plan.rate_hz, plan.joint_names)], draft, task=task)
+        save([Demonstration(frames, joints, plan.rate_hz, body.joint_names)], draft, task=task, joint_unit=body.joint_unit)
         shutil.rmtree(folder, ignore_errors=True)
         draft.replace(folder)
 
@@ -126,10 +130,3 @@ def check_whole(plan: Plan) -> None:
         raise ValueError("joints that are not finite")
     if not plan.rate_hz > 0:
         raise ValueError(f"rate_hz {plan.rate_hz}")
-
-
-def scene_of(about: dict | None) -> Scene | None:
-    if about is None:
-        return None
-    positions = {name: tuple(position) for name, position in about["positions_m"].items()}
-    return Scene(about["task"], tuple(about["start_joints"]), positions)

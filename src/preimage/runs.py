@@ -26,7 +26,7 @@ from safetensors.torch import load_file
 from safetensors.torch import save as to_bytes
 
 from preimage.model import PDVMRNN, ModelConfig, Sensors
-from preimage.records import Demonstration, Shown
+from preimage.records import Body, Demonstration, Shown
 from preimage.view import COLOURS, View
 from preimage.whole_file import whole_file, write_json
 
@@ -140,6 +140,18 @@ def read_view(name: str | Path) -> View:
     if "view" in read_config(folder):
         return read_settings(View, folder, "view")
     return seen_by(read_settings(Sensors, folder, "sensors"))  # a run that was not trained by `preimage train`, or before it kept this
+
+
+def read_body(name: str | Path) -> Body:
+    """All joints of the recordings that the run learned from, those that it does not move too.
+
+    Raises:
+        ValueError: there is no such run, or its config.json is broken.
+    """
+    folder = find_run(name)
+    if "body" in read_config(folder):
+        return read_settings(Body, folder, "body")
+    return Body(read_settings(Sensors, folder, "sensors").joint_names)  # a run as in `read_view`
 
 
 def seen_by(sensors: Sensors) -> View:

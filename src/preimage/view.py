@@ -2,11 +2,12 @@
 
 What a view leaves open is settled by the data. Where no size is asked for,
 
-- frames whose sides are multiples of 16 and at most 128 stay as they are, and so do those with no side above 64;
+- frames whose sides are multiples of 16 and at most 128 stay as they are;
+- others with no side above 64 are brought to the nearest multiples of 16, except where a side is shorter than that;
 - others are shrunk: the longer side to 64, the other to the multiple of 16 that is nearest to the proportions.
 
->>> default_size(480, 640), default_size(720, 1280), default_size(96, 128), default_size(100, 100)
-((48, 64), (32, 64), (96, 128), (64, 64))
+>>> default_size(480, 640), default_size(720, 1280), default_size(96, 128), default_size(50, 60)
+((48, 64), (32, 64), (96, 128), (48, 64))
 
 A settled view goes with the trained model, and later pictures, of goals above all, are looked at in the same way. Nothing is stretched
 further than `size` asks for: a picture of other proportions than the recordings is refused.
@@ -66,10 +67,11 @@ class View:
 
 def default_size(height: int, width: int) -> tuple[int, int]:
     """Height and width of what the network sees of frames of a size, where nothing is asked for."""
-    longest = max(height, width)
-    if longest <= LONGEST or (longest <= LONGEST_KEPT and height % LADDER == width % LADDER == 0):
+    longest, fits = max(height, width), height % LADDER == width % LADDER == 0
+    no_picture = longest <= LONGEST and min(height, width) < LADDER
+    if no_picture or (fits and longest <= LONGEST_KEPT):
         return height, width
-    rungs = (round(side * LONGEST / longest / LADDER) for side in (height, width))
+    rungs = (round(side * min(1, LONGEST / longest) / LADDER) for side in (height, width))
     tall, wide = (LADDER * max(1, rung) for rung in rungs)
     return tall, wide
 
