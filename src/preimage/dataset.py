@@ -27,7 +27,7 @@ from preimage.view import COLOURS, Eye, View, moving, telling_channels
 
 __all__ = ["Opened", "describe", "fingerprint", "load", "open_recordings", "read_episodes", "save"]
 
-AS_IT_IS = View()
+BY_DEFAULT = View()
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Opened:
     """What there is and what was chosen, in two or three lines."""
 
 
-def load(folder: Path | str, *, view: View = AS_IT_IS, only: Collection[int] | None = None) -> list[Demonstration]:
+def load(folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None) -> list[Demonstration]:
     """The demonstrations of a data set; `open_recordings` tells besides what was chosen.
 
     Args:
@@ -56,7 +56,7 @@ def load(folder: Path | str, *, view: View = AS_IT_IS, only: Collection[int] | N
     return open_recordings(folder, view=view, only=only).demonstrations
 
 
-def open_recordings(folder: Path | str, *, view: View = AS_IT_IS, only: Collection[int] | None = None) -> Opened:
+def open_recordings(folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None) -> Opened:
     """The demonstrations of a data set, how they were looked at, and what to tell of it.
 
     Joints are in the unit they were recorded in. Of a data set that was written here all joints are taken: what is loaded is what was
@@ -85,7 +85,7 @@ def open_recordings(folder: Path | str, *, view: View = AS_IT_IS, only: Collecti
     return Opened(demonstrations, settled, body, _told(demonstrations, description, settled, chosen=view.joints is not None))
 
 
-def read_episodes(folder: Path | str, *, view: View = AS_IT_IS, only: Collection[int] | None = None) -> Iterator[Episode]:
+def read_episodes(folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None) -> Iterator[Episode]:
     """The episodes of a data set one by one, whether they are whole or not, for those who want to know what is wrong.
 
     Crop, size and camera of the view are applied, and grey or colour where it asks for one; joints are all that were recorded.

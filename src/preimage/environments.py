@@ -36,7 +36,7 @@ REST_M = 0.005
 PATIENCE = 2
 """An episode is cut off after so many times the steps of the longest demonstration that can be."""
 
-Seen = dict[str, np.ndarray]
+Observation = dict[str, np.ndarray]
 """frame and goal (H, W, C) uint8, joints (J,) float64."""
 
 
@@ -63,7 +63,7 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
         self.action_space = Box(limits.lower, limits.upper, dtype=np.float64)
         self._shown: Demonstration | None = None
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """A new scene is laid out, and a tutor has shown the goal; it depends on the seed alone."""
         super().reset(seed=seed)
         (self._shown,) = record(self._arm, self._task, count=1, seed=int(self.np_random.integers(2**31)))
@@ -75,7 +75,7 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
         self._course: list[Witness] = [self._arm.witness()]
         return self._look(), self._judge()[1]
 
-    def step(self, action: Float[np.ndarray, " J"]) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Float[np.ndarray, " J"]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """The arm went on towards the joints that were asked for, as far as its limits allow in one step.
 
         Raises:
@@ -95,7 +95,7 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
         """What the camera sees, in colour; None without a render_mode."""
         return np.repeat(self._frame, 3, axis=-1) if self.render_mode == "rgb_array" else None  # (H, W, 3)
 
-    def _look(self) -> Seen:
+    def _look(self) -> Observation:
         assert self._shown is not None
         percept = self._arm.sense()
         assert percept.frame is not None

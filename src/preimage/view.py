@@ -41,7 +41,7 @@ COLOURS: Mapping[int, Literal["grey", "colour"]] = {1: "grey", 3: "colour"}
 """What frames of so many channels are; four are colour and depth."""
 
 Frame = UInt8[np.ndarray, "H W C"]
-Seen = UInt8[np.ndarray, "h w c"]
+Viewed = UInt8[np.ndarray, "h w c"]
 """A frame as the view shows it."""
 Picture = Frame | str
 """A frame, or one sentence on why there is none."""
@@ -93,7 +93,7 @@ def settled(view: View, height: int, width: int) -> View:
     return replace(view, size=view.size or default_size(tall, wide), recorded=(height, width))
 
 
-def look(frame: Frame, view: View, where: str) -> Seen:
+def look(frame: Frame, view: View, where: str) -> Viewed:
     """What a settled view shows of a picture: of the recordings' size, of their proportions, or as small as the network sees it already.
 
     Args:
@@ -123,7 +123,7 @@ def refuse_other_proportions(came: tuple[int, ...], view: View, where: str) -> N
     raise ValueError(f"{where} is {width}x{height} pixels, the model sees {view.size[1]}x{view.size[0]}: scale or crop it{other}")
 
 
-def scaled(frame: Frame, size: tuple[int, int]) -> Seen:
+def scaled(frame: Frame, size: tuple[int, int]) -> Viewed:
     """The frame at another (height, width), each pixel the mean of those it covers."""
     if frame.shape[:2] == size:
         return frame
@@ -134,7 +134,7 @@ def scaled(frame: Frame, size: tuple[int, int]) -> Seen:
     return np.concatenate(smaller, axis=-1)  # (H, W, C)
 
 
-def coloured(frame: Frame, colour: Literal["keep", "grey", "colour"]) -> Seen:
+def coloured(frame: Frame, colour: Literal["keep", "grey", "colour"]) -> Viewed:
     """The frame in grey (one channel) or in colour (three), or as it is."""
     channels = frame.shape[-1]
     if colour == "grey" and channels > 1:

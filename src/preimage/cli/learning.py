@@ -37,8 +37,10 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0) -> None
         raise ValueError(f"{out} is there already: give a new folder")
     with bar() as progress:
         shown = progress.add_task("recording", total=count)
-        demonstrations = record(Arm(), TASKS[task], count=count, seed=seed, progress=lambda _done, _all: progress.advance(shown))
-    save(demonstrations, out, task=task, joint_unit="rad")
+        arm = Arm()
+        demonstrations = record(arm, TASKS[task], count=count, seed=seed, progress=lambda _done, _all: progress.advance(shown))
+    units = set(arm.joint_units)
+    save(demonstrations, out, task=task, joint_unit=units.pop() if len(units) == 1 else None)
     steps = sum(map(len, demonstrations))
     print(f"{count} demonstrations, {steps} steps at {TASKS[task].rate_hz:g} Hz, in {out}")
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from preimage.examination.findings import Finding, Kind, Severity, in_episodes
-from preimage.examination.seen import Seen, scaled
+from preimage.examination.seen import Seen, divisors
 
 SAME_JOINTS = 0.01
 """Share of a joint's span within which two goals are one: a tenth of the way between neighbours among a hundred."""
@@ -33,7 +33,7 @@ class Spacing:
 
 
 def spacing(seen: Sequence[Seen]) -> Spacing:
-    goals = np.stack([one.joints[-1] for one in seen]) / scaled(seen)  # (N, J)
+    goals = np.stack([one.joints[-1] for one in seen]) / divisors(seen)  # (N, J)
     apart = np.abs(goals[:, None] - goals[None])  # (N, N, J)
     frames = np.stack([one.goal.ravel() for one in seen]).astype(np.float64)
     squares = (frames**2).mean(1)

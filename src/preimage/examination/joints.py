@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from preimage.examination.findings import Finding, Kind, Severity, at_places, listed
-from preimage.examination.seen import Seen, scaled, spans
+from preimage.examination.seen import Seen, divisors, spans
 
 FULL_TURN_RAD = 2 * np.pi
 """No joint of an arm turns farther to either side without its cable breaking."""
@@ -38,7 +38,7 @@ def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
 
 
 def frozen(seen: Sequence[Seen]) -> Iterator[Finding]:
-    still = ~np.isfinite(scaled(seen))
+    still = ~np.isfinite(divisors(seen))
     names = _named(seen, still)
     if still.all():
         yield Finding(Kind.FROZEN, Severity.FAULT, "no joint ever moves", "look whether the joints were recorded", joints=names)
@@ -80,7 +80,7 @@ def jumps(seen: Sequence[Seen]) -> Iterator[Finding]:
 
 
 def unrest(seen: Sequence[Seen]) -> Iterator[Finding]:
-    scale, moving = scaled(seen), []
+    scale, moving = divisors(seen), []
     for one in seen:
         speeds = np.linalg.norm(np.diff(one.joints, axis=0) / scale, axis=1)
         top = np.sort(speeds)[-3:].mean()
@@ -93,7 +93,7 @@ def unrest(seen: Sequence[Seen]) -> Iterator[Finding]:
 
 
 def starts(seen: Sequence[Seen]) -> Iterator[Finding]:
-    scatter = np.std([one.joints[0] for one in seen], axis=0) / scaled(seen)
+    scatter = np.std([one.joints[0] for one in seen], axis=0) / divisors(seen)
     apart = scatter > STARTS
     if apart.any():
         names = _named(seen, apart)

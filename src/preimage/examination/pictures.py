@@ -6,7 +6,7 @@ from itertools import groupby
 import numpy as np
 
 from preimage.examination.findings import Finding, Kind, Severity, at_places, in_episodes
-from preimage.examination.seen import SIDE, Seen, scaled
+from preimage.examination.seen import SIDE, Seen, divisors
 from preimage.examination.viewpoint import CameraMove, stretches
 
 STUCK_TRAVEL = 0.1
@@ -34,7 +34,7 @@ def blank(seen: Sequence[Seen]) -> Iterator[Finding]:
 
 def stuck(seen: Sequence[Seen]) -> Iterator[Finding]:
     """Frames that stay the same in every bit while a joint moves; blank ones have a finding of their own."""
-    scale = scaled(seen)
+    scale = divisors(seen)
     places = [place for one in seen if one.sees for place in _stuck_at(one, scale)]
     episodes = tuple(sorted({episode for episode, _ in places}))
     if not places:

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from preimage.records import Episode
-from preimage.view import moving
+from preimage.view import LONGEST, moving
 
-SIDE = 64
+SIDE = LONGEST
 """Pixels along the longer side at which frames are compared: the picture of the usual network."""
 CHANGE = 20.0
 """Grey levels by which a pixel must differ to count as changed: several times the noise of a camera in a dim room."""
@@ -111,7 +111,7 @@ def spans(seen: Sequence[Seen]) -> Float[np.ndarray, " J"]:
     return high - low
 
 
-def scaled(seen: Sequence[Seen]) -> Float[np.ndarray, " J"]:
+def divisors(seen: Sequence[Seen]) -> Float[np.ndarray, " J"]:
     """What to divide each joint by, so that all that are learned count alike; infinite for the others (`view.moving`)."""
     span = spans(seen)
     return np.where(moving([one.joints for one in seen]) & (span > 0), span, np.inf)
