@@ -32,7 +32,7 @@ class Limits:
 
     joint_names: tuple[str, ...]
     units: tuple[str, ...]
-    """rad, or m"""
+    """rad or m, or what the data told of theirs"""
     lower: Float[np.ndarray, " J"]
     """In units."""
     upper: Float[np.ndarray, " J"]

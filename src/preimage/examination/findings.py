@@ -80,6 +80,14 @@ def in_episodes(episodes: Iterable[int]) -> str:
     return f"episode{'s' if len(chosen) != 1 else ''} {listed(chosen)}"
 
 
+def episodes_of(places: Iterable[tuple[int, int]]) -> tuple[int, ...]:
+    """
+    >>> episodes_of([(4, 7), (2, 0), (4, 8)])
+    (2, 4)
+    """
+    return tuple(sorted({episode for episode, _ in places}))
+
+
 def at_places(places: Iterable[tuple[int, int]], most: int = 4) -> str:
     """
     >>> at_places([(2, 7), (3, 1)])

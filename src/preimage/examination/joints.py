@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from preimage.examination.findings import Finding, Kind, Severity, at_places, listed
+from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, listed
 from preimage.examination.seen import Seen, divisors, spans
 
 FULL_TURN_RAD = 2 * np.pi
@@ -33,7 +33,7 @@ def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
     if places:
         names = tuple(sorted(joints))
         what = f"{', '.join(names)} hold no number at {at_places(places)}"
-        episodes = tuple(sorted({episode for episode, _ in places}))
+        episodes = episodes_of(places)
         yield Finding(Kind.NOT_FINITE, Severity.FAULT, what, "leave these episodes out", episodes, tuple(places), names)
 
 
@@ -73,7 +73,7 @@ def jumps(seen: Sequence[Seen]) -> Iterator[Finding]:
         joints |= strange.any(0)
         places += [(one.index, int(step)) for step in np.flatnonzero(strange.any(1))]
     if places:
-        names, episodes = _named(seen, joints), tuple(sorted({episode for episode, _ in places}))
+        names, episodes = _named(seen, joints), episodes_of(places)
         what = f"{', '.join(names)} jump at {at_places(places)}, far faster than anywhere else"
         help_ = "leave these episodes out, or look at the sensor's cable"
         yield Finding(Kind.JUMP, Severity.WARNING, what, help_, episodes, tuple(places), names)

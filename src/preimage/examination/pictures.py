@@ -5,7 +5,7 @@ from itertools import groupby
 
 import numpy as np
 
-from preimage.examination.findings import Finding, Kind, Severity, at_places, in_episodes
+from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes
 from preimage.examination.seen import SIDE, Seen, divisors
 from preimage.examination.viewpoint import CameraMove, stretches
 
@@ -36,7 +36,7 @@ def stuck(seen: Sequence[Seen]) -> Iterator[Finding]:
     """Frames that stay the same in every bit while a joint moves; blank ones have a finding of their own."""
     scale = divisors(seen)
     places = [place for one in seen if one.sees for place in _stuck_at(one, scale)]
-    episodes = tuple(sorted({episode for episode, _ in places}))
+    episodes = episodes_of(places)
     if not places:
         return
     what = f"the frames stay the same while the arm moves, from {at_places(places)} on"

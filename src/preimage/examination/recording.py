@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from preimage.examination.findings import Finding, Kind, Severity, at_places, in_episodes
+from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes
 from preimage.examination.seen import Seen
 
 LEAST_STEPS = 2
@@ -98,4 +98,4 @@ def _where(ticks: Mapping[int, Float[np.ndarray, " gaps"]], chosen: Callable[[np
 
 
 def _of(places: Places) -> tuple[tuple[int, ...], tuple[tuple[int, int], ...]]:
-    return tuple(sorted({episode for episode, _ in places})), tuple(places)
+    return episodes_of(places), tuple(places)
