@@ -66,7 +66,7 @@ def demonstrations() -> list[Demonstration]:
 def data(demonstrations, tmp_path_factory):
     """The recordings as a data set."""
     folder = tmp_path_factory.mktemp("data") / "three"
-    preimage.save(demonstrations, folder, task="reach")
+    preimage.save(demonstrations, folder, task="reach", joint_unit="rad")
     return folder
 
 
@@ -86,6 +86,23 @@ def model(run_folder):
 @pytest.fixture(scope="session")
 def scene(demonstrations) -> Scene:
     return demonstrations[0].scene
+
+
+@pytest.fixture
+def refused(capsys):
+    """Runs words that cannot work; the exit code and the sentence, after a check that it is one and that there is nothing else."""
+
+    def run(*words: object) -> tuple[int, str]:
+        with pytest.raises(SystemExit) as left:
+            main([str(word) for word in words])
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert told.err.startswith("preimage: ")
+        assert told.err.count("\n") == 1
+        assert told.err.endswith("\n")
+        return left.value.code, told.err.removeprefix("preimage: ").strip()
+
+    return run
 
 
 @pytest.fixture

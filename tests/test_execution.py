@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from preimage.execution import Limits, execute, execute_open_loop, limits_of, play, within_limits
+from preimage.execution import execute, execute_open_loop, limits_of, play
+from preimage.limits import Limits, within_limits
 from preimage.records import Percept, Plan, Stopped
 from preimage.robot import TASKS, Arm, MoveObject, Reach, forward_kinematics, record, with_frames
 

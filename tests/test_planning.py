@@ -1,6 +1,7 @@
 """Laws of error regression: gradients, weights untouched, the best iterate with its own error; plans of a model that learned a little."""
 
-from dataclasses import replace
+import itertools
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,9 @@ import torch
 
 from preimage.intention import unflatten
 from preimage.model import PDVMRNN, Generated, InputSequence, ModelConfig
-from preimage.planning import PlanConfig, as_inputs, follow, imagine, plan, recognise
+from preimage.planning import PlanConfig, as_inputs, follow, imagine, join, plan, plan_in_turn, recognise
 from preimage.prediction_error import ToGoal, ToSequence
-from preimage.records import Demonstration, Percept, Stopped
+from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Places, leaps_from, learn_from_leap, regress_intention
 from preimage.training import TrainConfig, train
 
@@ -105,6 +106,43 @@ def test_a_plan_reaches_a_goal_between_the_demonstrations(model: PDVMRNN, config
     assert (np.diff(found.errors) <= 0).all()
     assert found.stopped in Stopped
     assert found.rate_hz == 2.5
+
+
+@pytest.fixture(scope="module")
+def legs(model: PDVMRNN) -> list[Plan]:
+    goals = [Percept(bar(far).last.frame) for far in (0.5, 0.9, 0.3)]
+    return plan_in_turn(model, start=bar(0.5).first, goals=goals, config=CONFIG)
+
+
+def test_each_leg_is_the_plan_from_where_the_one_before_arrives(model: PDVMRNN, legs: list[Plan]) -> None:
+    for before, leg in itertools.pairwise(legs):
+        start = Percept(before.frames[before.arrival_step], before.joints[before.arrival_step])
+        np.testing.assert_array_equal(leg.start.frame, start.frame)
+        np.testing.assert_array_equal(leg.start.joints, start.joints)
+        np.testing.assert_array_equal(leg.joints, plan(model, start=start, goal=leg.goal, config=CONFIG).joints)
+
+
+def test_joined_legs_pass_through_each_arrival_and_end_at_the_last(legs: list[Plan]) -> None:
+    whole = join(legs)
+    assert len(whole.frames) == len(whole.joints) == sum(leg.arrival_step for leg in legs[:-1]) + len(legs[-1])
+    for leg, step in zip(legs, np.cumsum([leg.arrival_step for leg in legs]), strict=True):
+        if leg.arrival_step > 0:
+            np.testing.assert_array_equal(whole.joints[step], leg.joints[leg.arrival_step])
+            np.testing.assert_array_equal(whole.frames[step], leg.frames[leg.arrival_step])
+    assert whole.arrival_step == sum(leg.arrival_step for leg in legs)
+    assert (whole.start, whole.goal) == (legs[0].start, legs[-1].goal)
+    assert whole.error == pytest.approx(sum(leg.error for leg in legs))
+
+
+def test_one_leg_joined_is_that_leg(legs: list[Plan]) -> None:
+    whole = join(legs[:1])
+    for field in fields(Plan):
+        np.testing.assert_equal(getattr(whole, field.name), getattr(legs[0], field.name))
+
+
+def test_no_goal_is_told(model: PDVMRNN) -> None:
+    with pytest.raises(ValueError, match="there is no goal: give one or more"):
+        plan_in_turn(model, goals=[])
 
 
 @pytest.mark.parametrize("config", [CONFIG, DESCEND], ids=["leap", "descend"])

@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from preimage.plans import load_plan, save_plan
+from preimage.dataset import load
+from preimage.plans import load_plan, save_episode, save_plan
 from preimage.records import Percept, Plan, Scene, Stopped
 
 SCENE = Scene("reach", (0.1, -0.2), {"goal": (0.5, 0.25, 0.03)})
@@ -53,6 +54,39 @@ def test_the_joints_to_command_can_be_read_without_this_program(tmp_path):
     assert head == ["time_s", "yaw", "elbow"]
     assert [row[0] for row in rows] == ["0.0", "0.2", "0.4", "0.6"]  # up to the arrival
     np.testing.assert_allclose(np.array(rows, float)[:, 1:], plan.joints[:4], atol=1e-6)
+
+
+def test_commands_take_the_place_of_the_imagined_joints_in_the_table(tmp_path):
+    save_plan(make_plan(), tmp_path, commands=np.full((6, 2), 0.5))
+    assert np.loadtxt(tmp_path / "joints.csv", delimiter=",", skiprows=1)[:, 1:].tolist() == [[0.5, 0.5]] * 6
+    assert_equal(load_plan(tmp_path)[0], make_plan())
+
+
+@pytest.mark.parametrize("num_commands", [1, 4, 7])
+def test_an_episode_holds_what_is_commanded_beside_what_is_imagined(tmp_path, num_commands):
+    plan = make_plan()
+    commands = np.random.default_rng(9).normal(size=(num_commands, 2))
+    save_episode(plan, tmp_path / "plan" / "lerobot", commands=commands)
+    (episode,) = load(tmp_path / "plan" / "lerobot")
+    assert (episode.joint_names, episode.rate_hz, len(episode)) == (plan.joint_names, plan.rate_hz, max(2, num_commands))
+    np.testing.assert_allclose(episode.joints[:num_commands], commands, atol=1e-6)
+    np.testing.assert_allclose(episode.joints[-1], commands[-1], atol=1e-6)
+    for step, frame in enumerate(episode.frames):
+        np.testing.assert_array_equal(frame, plan.frames[min(step, plan.arrival_step)])
+
+
+def test_an_episode_replaces_the_former_one_and_leaves_nothing_beside(tmp_path):
+    for seed in range(2):
+        save_episode(make_plan(seed=seed), tmp_path / "lerobot", commands=make_plan(seed=seed).joints[:4])
+    np.testing.assert_allclose(load(tmp_path / "lerobot")[0].joints, make_plan(seed=1).joints[:4], atol=1e-6)
+    assert [path.name for path in tmp_path.iterdir()] == ["lerobot"]
+
+
+@pytest.mark.parametrize(("channels", "kept"), [(3, 3), (4, 3)])
+def test_depth_has_no_place_in_the_pictures_of_an_episode(tmp_path, channels, kept):
+    frames = np.random.default_rng(0).integers(0, 256, (5, 8, 6, channels), np.uint8)
+    save_episode(dataclasses.replace(make_plan(), frames=frames), tmp_path / "lerobot", commands=np.zeros((4, 2)))
+    np.testing.assert_array_equal(load(tmp_path / "lerobot")[0].frames, frames[:4, ..., :kept])
 
 
 def test_saving_again_replaces(tmp_path):

@@ -1,11 +1,15 @@
 """Where starts and goals come from: image files, and steps of recorded demonstrations."""
 
+import json
+import shutil
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from conftest import make_demonstration
 from preimage.dataset import save
+from preimage.runs import load_model, read_view, seen_by
 from preimage.sequences import sensors_of
 from preimage.sources import find_percept, read_image
 
@@ -98,3 +102,21 @@ def test_an_image_of_another_size_is_told(tmp_path, sensors):
 def test_a_folder_with_a_colon_in_its_name_is_found(demonstrations, sensors, tmp_path):
     save(demonstrations, tmp_path / "take:2", task="reach")
     assert find_percept(f"{tmp_path}/take:2:1", sensors, default_step=0).scene == demonstrations[1].scene
+
+
+def test_a_run_that_kept_no_view_sees_its_own_size(run_folder, data, demonstrations, tmp_path):
+    shutil.copytree(run_folder, tmp_path / "run")
+    config = json.loads((tmp_path / "run/config.json").read_text())
+    kept = read_view(tmp_path / "run")
+    del config["view"]
+    (tmp_path / "run/config.json").write_text(json.dumps(config))
+    assert read_view(tmp_path / "run") == kept
+    assert read_view("reach") == seen_by(load_model("reach").sensors)
+
+
+def test_a_picture_without_depth_is_refused_by_a_model_that_sees_it(picture):
+    deep = sensors_of([make_demonstration(size=(64, 64, 4))])
+    with pytest.raises(ValueError, match=r"goal.png has no depth, which the model sees"):
+        read_image(picture, deep)
+    Image.new("RGBA", (64, 64), (1, 2, 3, 4)).save(picture)
+    assert read_image(picture, deep)[0, 0].tolist() == [1, 2, 3, 4]

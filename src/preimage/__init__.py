@@ -9,8 +9,8 @@ from preimage.evaluation import Evaluated, evaluate, result_of, wilson_interval
 from preimage.execution import execute, execute_open_loop
 from preimage.intention import IntentionState
 from preimage.model import PDVMRNN, ModelConfig, Sensors
-from preimage.planning import PlanConfig, follow, imagine_library, plan, recognise
-from preimage.plans import load_plan, save_plan
+from preimage.planning import PlanConfig, follow, imagine_library, join, plan, plan_in_turn, recognise
+from preimage.plans import load_plan, save_episode, save_plan
 from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
 from preimage.regression import regress_intention
 from preimage.report import figure, film
@@ -46,16 +46,19 @@ __all__ = [
     "film",
     "follow",
     "imagine_library",
+    "join",
     "load",
     "load_model",
     "load_plan",
     "plan",
+    "plan_in_turn",
     "read_shown",
     "recognise",
     "record",
     "regress_intention",
     "result_of",
     "save",
+    "save_episode",
     "save_plan",
     "train",
     "wilson_interval",

@@ -1,20 +1,11 @@
-"""Let the arm do what was imagined, in physics and within its limits: blind, or with an eye on what it senses.
-
->>> import numpy as np
->>> limits = Limits(("yaw",), ("rad",), lower=np.array([-1.0]), upper=np.array([1.0]), velocity=np.array([2.0]))
->>> commands, limited = within_limits(np.array([[0.0], [0.1], [1.2]]), limits, period_s=0.2)
->>> commands[:, 0].round(3).tolist()
-[0.0, 0.1, 0.5, 0.9, 1.0]
->>> limited
-('yaw kept above -1 and below 1 rad in 1 step', 'yaw slowed to 2 rad/s in 2 steps')
-"""
+"""Let the arm do what was imagined, in physics and within its limits: blind, or with an eye on what it senses."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from preimage.limits import Limiter, Limits, within_limits
 from preimage.records import Percept, Plan, Scene, Trial
 from preimage.robot import TASKS, Arm, Task
 
@@ -23,21 +14,6 @@ SETTLE_S = 0.5
 
 Policy = Callable[[Percept], Float[np.ndarray, " J"]]
 """What to command for the next step (rad; gripper: m), given what is sensed now."""
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """What the arm may be commanded, joint by joint."""
-
-    joint_names: tuple[str, ...]
-    units: tuple[str, ...]
-    """rad, or m"""
-    lower: Float[np.ndarray, " J"]
-    """In units."""
-    upper: Float[np.ndarray, " J"]
-    """In units."""
-    velocity: Float[np.ndarray, " J"]
-    """In units a second."""
 
 
 def execute(plan: Plan, arm: Arm, scene: Scene, *, task: Task | None = None) -> Trial:
@@ -97,7 +73,7 @@ def execute_open_loop(
     if num_steps < 1:
         raise ValueError(f"num_steps is {num_steps}: ask the policy once or more")
     stage = _Stage(task or task_of(scene), arm, scene)
-    limiter = _Limiter(limits_of(arm), np.array(scene.start_joints), 1 / rate_hz)
+    limiter = Limiter(limits_of(arm), np.array(scene.start_joints), 1 / rate_hz)
     for _ in range(num_steps):
         wanted = np.asarray(policy(stage.percept))
         if wanted.shape != (len(arm.joint_names),):
@@ -120,71 +96,6 @@ def task_of(scene: Scene) -> Task:
 def limits_of(arm: Arm) -> Limits:
     """What the arm may be commanded among the furniture where it stands."""
     return Limits(arm.joint_names, arm.joint_units, arm.joint_limits[:, 0], arm.joint_limits[:, 1], arm.velocity_limits)
-
-
-def within_limits(joints: Float[np.ndarray, "T J"], limits: Limits, *, period_s: float) -> tuple[Float[np.ndarray, "S J"], tuple[str, ...]]:
-    """The commands that follow `joints` within the limits, and a sentence for each limit that changed them.
-
-    A step that would be too fast is shortened and made up for in the steps after it; where the end is not reached in time, steps are
-    added (S >= T). The first row is where the arm is.
-    """
-    limiter = _Limiter(limits, joints[0], period_s)
-    commands = [limiter.command]
-    for wanted in joints[1:]:
-        commands.append(limiter.follow(wanted))
-    while not limiter.has_arrived:
-        commands.append(limiter.catch_up())
-    return np.stack(commands), limiter.sentences()
-
-
-def counted(steps: int) -> str:
-    return "1 step" if steps == 1 else f"{steps} steps"
-
-
-class _Limiter:
-    """Follows the joints that are wanted, one step at a time, as well as the limits allow, and counts where they did not."""
-
-    def __init__(self, limits: Limits, start: Float[np.ndarray, " J"], period_s: float) -> None:
-        self._limits = limits
-        self._reach = limits.velocity * period_s
-        self._num_kept, self._num_slowed = np.zeros((2, len(self._reach)), int)
-        self.command = self._wanted = self._allowed(start)
-
-    @property
-    def has_arrived(self) -> bool:
-        """Whether the last command is what was wanted, as far as it is allowed."""
-        return np.allclose(self.command, self._wanted)
-
-    def follow(self, wanted: Float[np.ndarray, " J"]) -> Float[np.ndarray, " J"]:
-        """The next command towards new wanted joints."""
-        self._wanted = self._allowed(wanted)
-        return self.catch_up()
-
-    def catch_up(self) -> Float[np.ndarray, " J"]:
-        """The next command towards the joints that were wanted last."""
-        missing = self._wanted - self.command
-        self._num_slowed += np.abs(missing) > self._reach + 1e-9
-        self.command = self.command + np.clip(missing, -self._reach, self._reach)
-        return self.command
-
-    def sentences(self) -> tuple[str, ...]:
-        """A sentence for each limit that changed a command."""
-        named = list(zip(self._limits.joint_names, self._limits.units, strict=True))
-        bounds = zip(named, self._limits.lower, self._limits.upper, self._num_kept, strict=True)
-        speeds = zip(named, self._limits.velocity, self._num_slowed, strict=True)
-        return tuple(
-            [
-                f"{name} kept above {low:g} and below {high:g} {unit} in {counted(count)}"
-                for (name, unit), low, high, count in bounds
-                if count
-            ]
-            + [f"{name} slowed to {velocity:g} {unit}/s in {counted(count)}" for (name, unit), velocity, count in speeds if count]
-        )
-
-    def _allowed(self, wanted: Float[np.ndarray, " J"]) -> Float[np.ndarray, " J"]:
-        allowed = np.clip(wanted, self._limits.lower, self._limits.upper)
-        self._num_kept += allowed != wanted
-        return allowed
 
 
 class _Stage:

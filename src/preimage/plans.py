@@ -2,12 +2,15 @@
 
 plan.json      arrival step, rate, joint names, error, why the search stopped, the scene where it is known
 plan.npz       imagined frames and joints, start and goal
-joints.csv     the joints to command, one row a step up to the arrival, in rad
+joints.csv     the joints to command, one row a step up to the arrival, in the unit of the training data
+lerobot/       the same as a LeRobotDataset of one episode, which `lerobot-replay` plays (written by `save_episode`)
 """
 
 import contextlib
 import csv
 import json
+import shutil
+import tempfile
 import zipfile
 import zlib
 from dataclasses import asdict
@@ -15,21 +18,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from preimage.records import Percept, Plan, Scene, Stopped
+from preimage.dataset import save
+from preimage.records import Body, Demonstration, Percept, Plan, Scene, Stopped, scene_of
 from preimage.whole_file import whole_file
 
 ARRAYS = ("frames", "joints", "errors", "intention")
 NUMBERS = ("arrival_step", "rate_hz", "error", "seconds")
 
 
-def save_plan(plan: Plan, folder: Path | str, *, scene: Scene | None = None) -> None:
+def save_plan(plan: Plan, folder: Path | str, *, scene: Scene | None = None, commands: Float[np.ndarray, "S J"] | None = None) -> None:
     """Write a plan, and the scene it was made for where it is known, into a folder: all of its files, or none.
+
+    Args:
+        commands: what joints.csv is to hold, as `limits.commands_of` gives it; by default the joints as they were imagined.
 
     Raises:
         OSError: the disk is full or forbidden.
     """
     folder = Path(folder)
+    commands = plan.joints[: plan.arrival_step + 1] if commands is None else commands
     with contextlib.ExitStack() as files:  # every file is whole before the first of them moves into its place
         about, arrays, table = (files.enter_context(whole_file(folder / name)) for name in ("plan.json", "plan.npz", "joints.csv"))
         with arrays.open("wb") as file:
@@ -39,11 +48,41 @@ def save_plan(plan: Plan, folder: Path | str, *, scene: Scene | None = None) -> 
         with table.open("w", newline="") as file:
             rows = csv.writer(file)
             rows.writerow(["time_s", *plan.joint_names])
-            for step, joints in enumerate(plan.joints[: plan.arrival_step + 1]):
+            for step, joints in enumerate(commands):
                 rows.writerow([round(step / plan.rate_hz, 6), *(round(float(angle), 6) for angle in joints)])
         facts = {name: getattr(plan, name) for name in NUMBERS}
         facts |= {"joint_names": plan.joint_names, "stopped": plan.stopped.name, "scene": asdict(scene) if scene else None}
         about.write_text(json.dumps(facts, indent=2) + "\n")
+
+
+def save_episode(
+    plan: Plan, folder: Path | str, *, commands: Float[np.ndarray, "S J"], body: Body | None = None, task: str = "reach the goal"
+) -> None:
+    """Write what is to be commanded, with the imagined frames, as a LeRobotDataset of one episode; a former one is replaced.
+
+    `lerobot-replay` sends its actions: the joints one step later, the last repeated. Joints have the names and the unit of the training
+    data. Where limits added steps, the frame of the arrival stays; depth, which LeRobot's pictures have no channel for, is left out.
+
+    Args:
+        commands: as `limits.commands_of` gives them.
+        body: all joints of the recordings (`runs.read_body`), of which those that the plan does not move are held; by default the plan's.
+        task: what is done, in words.
+
+    Raises:
+        OSError: the disk is full or forbidden.
+    """
+    folder = Path(folder).resolve()
+    steps = np.arange(max(2, len(commands)))  # an episode has a start and an end, even where the arm stays
+    frames = plan.frames[np.minimum(steps, plan.arrival_step)]
+    frames = frames[..., :3] if frames.shape[-1] >= 3 else frames[..., :1]
+    body = body or Body(plan.joint_names)
+    joints = body.whole(commands[np.minimum(steps, len(commands) - 1)], plan.joint_names)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
+        draft = Path(scratch) / folder.name
+        save([Demonstration(frames, joints, plan.rate_hz, body.joint_names)], draft, task=task, joint_unit=body.joint_unit)
+        shutil.rmtree(folder, ignore_errors=True)
+        draft.replace(folder)
 
 
 def percepts_of(plan: Plan) -> dict[str, Any]:
@@ -91,10 +130,3 @@ def check_whole(plan: Plan) -> None:
         raise ValueError("joints that are not finite")
     if not plan.rate_hz > 0:
         raise ValueError(f"rate_hz {plan.rate_hz}")
-
-
-def scene_of(about: dict | None) -> Scene | None:
-    if about is None:
-        return None
-    positions = {name: tuple(position) for name, position in about["positions_m"].items()}
-    return Scene(about["task"], tuple(about["start_joints"]), positions)

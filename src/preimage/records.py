@@ -1,4 +1,4 @@
-"""The nouns that travel between rooms: what is sensed, shown, planned, tried and counted.
+"""The nouns that travel between rooms: what is sensed, recorded, shown, planned, tried and counted.
 
 All of them are frozen and hold NumPy arrays. Lengths are metres, angles radians, times seconds. A frame is `uint8` of shape
 (H, W, C); joints are `float64` of shape (J,), in the order of `joint_names`.
@@ -13,6 +13,7 @@ All of them are frozen and hold NumPy arrays. Lengths are metres, angles radians
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -36,6 +37,14 @@ class Scene:
     """Joints before the first step (rad; gripper: m)."""
     positions_m: Mapping[str, tuple[float, ...]]
     """Positions by name, in the frame of the table: x away from the robot, y to its left, z up (m)."""
+
+
+def scene_of(about: Mapping[str, Any] | None) -> Scene | None:
+    """The scene out of JSON, where its tuples have become lists."""
+    if about is None:
+        return None
+    positions_m = {name: tuple(position) for name, position in about["positions_m"].items()}
+    return Scene(about["task"], tuple(about["start_joints"]), positions_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +85,61 @@ class Demonstration:
     @property
     def last(self) -> Percept:
         return self[-1]
+
+
+@dataclass(frozen=True)
+class Body:
+    """All joints that were recorded, of which a model may know fewer."""
+
+    joint_names: tuple[str, ...]
+    """In the order of the recordings."""
+    held: Mapping[str, float] = field(default_factory=dict)
+    """Where the joints that were left out mostly stood (the median) as the demonstrations began."""
+    joint_unit: str | None = None
+    """The joints' unit, where the data told."""
+
+    def whole(self, joints: Float[np.ndarray, "T _known"], names: tuple[str, ...]) -> Float[np.ndarray, "T _all"]:
+        """A way of the named joints as a way of all of them, in which the others are held."""
+        known = dict(zip(names, joints.T, strict=True))
+        ways = [known[name] if name in known else np.full(len(joints), self.held[name]) for name in self.joint_names]
+        return np.stack(ways, axis=-1)  # (T, all)
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One recording as it lies on disk, before anyone asks whether it is whole: F frames and T steps of joints need not agree."""
+
+    index: int
+    frames: UInt8[np.ndarray, "F H W C"]
+    """Those that could be read, cropped and scaled."""
+    joints: Float[np.ndarray, "T J"]
+    """All joints that were recorded, those that never move too, in the unit they were recorded in; NaN where there is no number."""
+    joint_names: tuple[str, ...]
+    timestamps_s: Float[np.ndarray, " T"] | None
+    """When each step was taken, where the recording tells."""
+    declared_length: int
+    """Steps that its index says it has."""
+    rate_hz: float
+    task: str | None
+    """What is shown, in words, where the recording tells."""
+    scene: Scene | None = None
+    faults: tuple[str, ...] = ()
+    """One sentence for each part that could not be read and is missing here."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a data set says of itself, before any frame is read."""
+
+    version: str
+    """The layout on disk: LeRobotDataset v3.0, LeRobotDataset v2.1 or folder."""
+    cameras: Mapping[str, tuple[int, int, int]]
+    """Height, width and channels of each camera."""
+    joint_names: tuple[str, ...]
+    rate_hz: float
+    num_episodes: int
+    joint_unit: str | None = None
+    """The joints' unit, where the data set tells."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,8 @@ from safetensors.torch import load_file
 from safetensors.torch import save as to_bytes
 
 from preimage.model import PDVMRNN, ModelConfig, Sensors
-from preimage.records import Demonstration, Shown
+from preimage.records import Body, Demonstration, Shown
+from preimage.view import COLOURS, View
 from preimage.whole_file import whole_file, write_json
 
 Record = TypeVar("Record")
@@ -127,6 +128,36 @@ def read_settings(record: type[Record], folder: Path, key: str) -> Record:
         return tuples(record, config[key])
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{folder}/config.json has no {key} settings that are known here ({error}): train again") from error
+
+
+def read_view(name: str | Path) -> View:
+    """How the run looked at the recordings that it learned from, and so how its starts and goals are to be looked at.
+
+    Raises:
+        ValueError: there is no such run, or its config.json is broken.
+    """
+    folder = find_run(name)
+    if "view" in read_config(folder):
+        return read_settings(View, folder, "view")
+    return seen_by(read_settings(Sensors, folder, "sensors"))  # a run that was not trained by `preimage train`, or before it kept this
+
+
+def read_body(name: str | Path) -> Body:
+    """All joints of the recordings that the run learned from, those that it does not move too.
+
+    Raises:
+        ValueError: there is no such run, or its config.json is broken.
+    """
+    folder = find_run(name)
+    if "body" in read_config(folder):
+        return read_settings(Body, folder, "body")
+    return Body(read_settings(Sensors, folder, "sensors").joint_names)  # a run as in `read_view`
+
+
+def seen_by(sensors: Sensors) -> View:
+    """The view that shows recordings of a model's own frame size as the model sees them."""
+    size = sensors.height, sensors.width
+    return View(joints=sensors.joint_names, size=size, colour=COLOURS.get(sensors.channels, "keep"), recorded=size)
 
 
 def load_model(name: str | Path) -> PDVMRNN:

@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import UInt8
 from PIL import Image
 
-from preimage.dataset import load
+from preimage.dataset import describe, load
 from preimage.model import Sensors
 from preimage.records import Percept, Scene
+from preimage.runs import seen_by
+from preimage.view import View, look
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,17 +27,19 @@ class Found:
     scene: Scene | None = None
 
 
-def find_percept(source: str, sensors: Sensors, *, default_step: int) -> Found:
-    """The percept that a source names.
+def find_percept(source: str, sensors: Sensors, *, view: View | None = None, default_step: int) -> Found:
+    """The percept that a source names, as the model saw its recordings.
 
     Args:
+        view: how the model saw its recordings (`runs.read_view`); by default whole and in its own size.
         default_step: the step of an episode where the source names none: 0 for a start, -1 for a goal.
 
     Raises:
-        ValueError: there is no such file, data set, episode or step, or the file is no image.
+        ValueError: there is no such file, data set, episode or step, or the file is no image, or the picture does not fit the view.
     """
+    view = view or seen_by(sensors)
     if Path(source).is_file():
-        return Found(Percept(frame=read_image(Path(source), sensors)))
+        return Found(Percept(frame=read_image(Path(source), sensors, view)))
     splits = [source.rsplit(":", count) for count in (1, 2)]  # from the right, for a path may hold colons itself
     named = [(folder, numbers) for folder, *numbers in splits if numbers and Path(folder).is_dir()]
     if not named:
@@ -44,28 +49,30 @@ def find_percept(source: str, sensors: Sensors, *, default_step: int) -> Found:
         episode, step = int(numbers[0]), int(numbers[1]) if len(numbers) == 2 else default_step
     except ValueError as error:
         raise ValueError(f"{source} does not name an episode by number: give DATA:EPISODE or DATA:EPISODE:STEP") from error
-    demonstrations = load(folder)
-    if not 0 <= episode < len(demonstrations):
-        raise ValueError(f"{folder} has episodes 0 to {len(demonstrations) - 1}, not {episode}")
-    demonstration = demonstrations[episode]
+    num_episodes = describe(folder).num_episodes
+    if not 0 <= episode < num_episodes:
+        raise ValueError(f"{folder} has episodes 0 to {num_episodes - 1}, not {episode}")
+    (demonstration,) = load(folder, view=view, only=(episode,))
     if not -len(demonstration) <= step < len(demonstration):
         raise ValueError(f"episode {episode} of {folder} has steps 0 to {len(demonstration) - 1}, not {step}")
     return Found(demonstration[step], demonstration.scene)
 
 
-def read_image(path: Path, sensors: Sensors) -> np.ndarray:
-    """An image file as a frame (H, W, C), in grey where the model sees grey.
+def read_image(path: Path, sensors: Sensors, view: View | None = None) -> UInt8[np.ndarray, "H W C"]:
+    """An image file as a frame (H, W, C), cropped, scaled and in grey or colour as the model saw its recordings.
+
+    Args:
+        view: how the model saw its recordings (`runs.read_view`); by default whole and in its own size.
 
     Raises:
-        ValueError: it is no image, or of another size than the model's frames.
+        ValueError: it is no image, has other proportions than the recordings, or lacks the depth that the model sees.
     """
     try:
         with Image.open(path) as image:
-            picture = np.array(image.convert("L" if sensors.channels == 1 else "RGB"))  # a copy, for torch wants to own it
+            picture = np.array(image if image.mode in ("L", "RGB", "RGBA") else image.convert("RGB"))  # a copy, for torch wants to own it
     except OSError as error:
         raise ValueError(f"{path} is not an image that can be read: give a PNG or JPEG file") from error
-    frame = picture.reshape(*picture.shape[:2], -1)
-    wanted = sensors.height, sensors.width
-    if frame.shape[:2] != wanted:
-        raise ValueError(f"{path} is {frame.shape[1]}x{frame.shape[0]} pixels, the model sees {wanted[1]}x{wanted[0]}: scale or crop it")
-    return frame
+    frame = look(picture.reshape(*picture.shape[:2], -1), view or seen_by(sensors), str(path))
+    if sensors.channels == 4 and frame.shape[-1] != 4:
+        raise ValueError(f"{path} has no depth, which the model sees: give a PNG whose fourth channel is the depth")
+    return np.array(frame)

@@ -16,9 +16,10 @@ no model, no robot.
 ('reach.gif', 'reach.png')
 """
 
+from preimage.report.examined import examined_page
 from preimage.report.figures import figure, learning_curve
 from preimage.report.films import film
 from preimage.report.pages import Case, page
 from preimage.report.results import fill_readme, write_results
 
-__all__ = ["Case", "figure", "fill_readme", "film", "learning_curve", "page", "write_results"]
+__all__ = ["Case", "examined_page", "figure", "fill_readme", "film", "learning_curve", "page", "write_results"]

@@ -99,9 +99,9 @@ def _draw_title(drawing: Figure, plan: Plan, trial: Trial | None, total_inches: 
 def _draw_frames(drawing: Figure, grid: GridSpec, plan: Plan, trial: Trial | None) -> None:
     steps = np.unique(np.linspace(0, plan.arrival_step, NUM_COLUMNS).round().astype(int))
     first = drawing.add_subplot(grid[0, 0])
-    _draw_frame(first, plan.start.frame, "initial")
+    draw_frame(first, plan.start.frame, "initial")
     _name_row(first, "given")
-    _draw_frame(drawing.add_subplot(grid[0, max(1, len(steps) - 1)]), plan.goal.frame, "goal")
+    draw_frame(drawing.add_subplot(grid[0, max(1, len(steps) - 1)]), plan.goal.frame, "goal")
     _draw_sequence(drawing, grid, 1, "imagined", plan.frames, steps, plan.rate_hz)
     if trial is not None:
         seen = np.minimum(steps, len(trial.frames) - 1)
@@ -120,12 +120,12 @@ def _draw_sequence(
 ) -> None:
     for column, step in enumerate(steps):
         axes = drawing.add_subplot(grid[row, column])
-        _draw_frame(axes, frames[step], f"{step / rate_hz:.1f} s")
+        draw_frame(axes, frames[step], f"{step / rate_hz:.1f} s")
         if column == 0:
             _name_row(axes, name)
 
 
-def _draw_frame(axes: Axes, frame: Shaped[np.ndarray, "H W C"] | None, caption: str) -> None:
+def draw_frame(axes: Axes, frame: Shaped[np.ndarray, "H W C"] | None, caption: str) -> None:
     axes.set(xticks=[], yticks=[])
     for spine in axes.spines.values():
         spine.set(color="#c3cad2", linewidth=0.8)

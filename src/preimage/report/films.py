@@ -1,4 +1,4 @@
-"""Films of a plan: the goal | the imagined frames up to arrival | what the camera saw while executing.
+"""Films of a plan: the goal | the imagined frames up to arrival | what the camera saw while executing, or in the recording to compare with.
 
 The panels run on one clock. The imagined film ends at the arrival step, the executed one with the trial; the one that ends first
 holds its last frame, and when both have ended the picture stays for one more second.
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from preimage.records import Plan, Trial
+from preimage.records import Demonstration, Plan, Trial
 from preimage.whole_file import whole_file
 
 PANEL_PIXELS = 256
@@ -75,10 +75,11 @@ class _Stage:
         return self.left(panel) + (self.column - self.frame_size[0]) // 2, CAPTION
 
 
-def film(plan: Plan, trial: Trial | None, path: str | os.PathLike[str]) -> Path:
+def film(plan: Plan, trial: Trial | None, path: str | os.PathLike[str], *, recorded: Demonstration | None = None) -> Path:
     """Writes the film of a plan, and of its execution where there was one, at the plan's rate.
 
     Args:
+        recorded: what was recorded of the same way, at the plan's rate, to be shown beside it.
         path: ends in `.mp4` (H.264, plays in browsers) or `.gif`; missing folders are made.
 
     Raises:
@@ -89,11 +90,11 @@ def film(plan: Plan, trial: Trial | None, path: str | os.PathLike[str]) -> Path:
     if write is None:
         raise ValueError(f"path ends in {path.suffix or 'no suffix'!r}, a film can be written as .mp4 or .gif: {path}")
     with whole_file(path) as unfinished:
-        write(unfinished, _pictures(plan, trial), plan.rate_hz)
+        write(unfinished, _pictures(_panels(plan, trial, recorded), plan), plan.rate_hz)
     return path
 
 
-def _panels(plan: Plan, trial: Trial | None) -> list[_Panel]:
+def _panels(plan: Plan, trial: Trial | None, recorded: Demonstration | None) -> list[_Panel]:
     goal = plan.goal.frame
     shown = "the image given" if goal is not None else "given as joint angles"
     panels = [
@@ -103,12 +104,13 @@ def _panels(plan: Plan, trial: Trial | None) -> list[_Panel]:
     if trial is not None:
         verdict = f"{trial.deviation_m * 100:.1f} cm off: {'success' if trial.success else 'failure'}"
         panels.append(_Panel("executed", EXECUTED, trial.frames, verdict, SUCCESS if trial.success else FAILURE))
+    if recorded is not None:
+        panels.append(_Panel("recorded", EXECUTED, recorded.frames, "ended", EXECUTED))
     return panels
 
 
-def _pictures(plan: Plan, trial: Trial | None) -> Iterator[Image.Image]:
+def _pictures(panels: list[_Panel], plan: Plan) -> Iterator[Image.Image]:
     """The pictures of the film, one a step, without the hold at the end."""
-    panels = _panels(plan, trial)
     stage = _Stage(len(panels), _enlarged_size(plan.frames.shape[2], plan.frames.shape[1]))
     num_steps = max(len(panel.frames) for panel in panels if panel.frames is not None)
     for step in range(num_steps):

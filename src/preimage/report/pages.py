@@ -78,11 +78,11 @@ def page(
         _all_goals(results["rows"]),
     ]
     with whole_file(path) as unfinished:
-        unfinished.write_text(_document(title, "\n".join(body)), encoding="utf-8")
+        unfinished.write_text(document(title, "\n".join(body)), encoding="utf-8")
     return path
 
 
-def _document(title: str, body: str) -> str:
+def document(title: str, body: str) -> str:
     style = files("preimage.report").joinpath("page.css").read_text(encoding="utf-8")
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'

@@ -1,0 +1,124 @@
+"""The verbs that lead from a trained model to an arm that moves: demo, plan, execute."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from tyro.conf import Positional
+
+from preimage import demo as demonstration_of_it_all
+from preimage.cli.screen import bar
+from preimage.execution import execute
+from preimage.limits import commands_of, limits_seen, read_limits
+from preimage.options import refuse_out_of_range
+from preimage.planning import PlanConfig, join, plan_in_turn
+from preimage.plans import load_plan, save_episode, save_plan
+from preimage.records import Percept, Plan
+from preimage.report import figure, film
+from preimage.robot import Arm
+from preimage.runs import BUNDLED, find_run, load_model, read_body, read_shown, read_view
+from preimage.sources import find_percept
+
+
+def demo(task: str = "reach", goals: int = 5, seed: int = 7, out: Path = Path("demo")) -> None:
+    """Let the bundled model plan to goals it never saw, execute the plans, and show films and a report.
+
+    Args:
+        task: which of the bundled models: reach or move-object.
+        goals: how many goals.
+        seed: draws the goals.
+        out: folder for films, figures and report.html.
+    """
+    if task not in BUNDLED:
+        raise ValueError(f"there is no bundled model of {task}; there are {', '.join(BUNDLED)}")
+    with bar() as progress:
+        shown = progress.add_task("planning and executing", total=goals)
+        report = demonstration_of_it_all.run(task, goals=goals, seed=seed, out=out, progress=lambda: progress.advance(shown))
+    for line in report.lines:
+        print(line)
+    print(f"open {report.page}")
+
+
+def plan_(
+    run: Positional[str],
+    goal: tuple[str, ...],
+    out: Path,
+    start: str | None = None,
+    goal_joints: tuple[float, ...] | None = None,
+    joint_limits: Path | None = None,
+    config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
+) -> None:
+    """Imagine a way to a goal, or to several in a row.
+
+    Args:
+        run: a run folder, or the name of a bundled model.
+        goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set;
+            of several, each is planned to from where the plan to the one before ends, and the whole is one plan.
+        out: folder to write: the plan, a film and a figure of it, and the joints to command as CSV and as a LeRobotDataset.
+        start: where the start comes from, likewise; by default the mean start of the demonstrations.
+        goal_joints: joint angles of the goal (rad), for --modalities joints or both.
+        joint_limits: JSON of what may be commanded, joint by joint: lower, upper, velocity or step; by default what was demonstrated.
+        config: how the plan is searched for.
+    """
+    refuse_out_of_range(config)
+    refuse_useless_joints(goal_joints, num_goals=len(goal), modalities=config.modalities)
+    model, view, body = load_model(run), read_view(run), read_body(run)
+    limits = limits_seen(model.sensors, read_shown(find_run(run)), unit=body.joint_unit)
+    if joint_limits:
+        limits = read_limits(joint_limits, limits, rate_hz=model.config.rate_hz)
+    wanted = [find_percept(each, model.sensors, view=view, default_step=-1) for each in goal]
+    goals = [each.percept for each in wanted]
+    if goal_joints is not None:
+        goals = [Percept(goals[0].frame, np.array(goal_joints))]
+    begin = find_percept(start, model.sensors, view=view, default_step=0).percept if start else None
+    legs = plan_in_turn(model, start=begin, goals=goals, config=config)
+    found = join(legs)
+    commands, limited = commands_of(found, limits)
+    save_plan(found, out, scene=wanted[-1].scene, commands=commands)
+    save_episode(found, out / "lerobot", commands=commands, body=body)
+    film(found, None, out / "imagined.mp4")
+    figure(found, None, out / "imagined.png")
+    print("\n".join(sentences_of(legs, found, out)))
+    print("\n".join(limited) or "no limit changed the joints to command")
+
+
+def refuse_useless_joints(goal_joints: tuple[float, ...] | None, *, num_goals: int, modalities: str) -> None:
+    """Raises ValueError where joints of the goal were given and nothing would come of them."""
+    if goal_joints is None:
+        return
+    if modalities == "vision":
+        raise ValueError("--goal-joints is not looked at while --modalities is vision: give --modalities joints, or both")
+    if num_goals != 1:
+        raise ValueError(f"--goal-joints are the joints of one goal, and --goal names {num_goals}: plan to one goal, or without joints")
+
+
+def sentences_of(legs: Sequence[Plan], found: Plan, out: Path) -> list[str]:
+    """What there is to say of a plan, and of its legs where there are several."""
+    lines = [
+        f"goal {number} of {len(legs)}: arrives after {leg.arrival_step} steps, error {leg.error:.3f}, {leg.stopped.value}"
+        for number, leg in enumerate(legs, start=1)
+        if len(legs) > 1
+    ]
+    after = f"step {found.arrival_step} ({found.arrival_step / found.rate_hz:.1f} s)"
+    lines.append(f"arrives at {after}, error {found.error:.3f}, planned in {found.seconds:.1f} s, in {out}")
+    return [*lines, f"stopped: {found.stopped.value}"]
+
+
+def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None) -> None:
+    """Let the simulated arm execute a plan, and judge where it ends.
+
+    Args:
+        folder: what `preimage plan` wrote.
+        film_: film to write, .mp4 or .gif, imagined beside executed.
+    """
+    found, scene = load_plan(folder)
+    if scene is None:
+        raise ValueError(f"the plan in {folder} is for a goal without a scene, which nothing can judge: plan with --goal DATA:EPISODE")
+    trial = execute(found, Arm(), scene)
+    if film_:
+        film(found, trial, film_)
+    for sentence in trial.limited:
+        print(sentence)
+    print(f"{'reached' if trial.success else 'missed'}: {100 * trial.deviation_m:.1f} cm from the goal")

@@ -1,0 +1,130 @@
+"""The verbs that lead from recordings to a trained model: record, check, train."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tyro.conf import Positional
+
+from preimage.cli.screen import bar, known_task
+from preimage.dataset import fingerprint, open_recordings, read_episodes, save
+from preimage.examination import examine
+from preimage.experiments import SIZES
+from preimage.held_out import every_nth
+from preimage.model import ModelConfig
+from preimage.options import refuse_out_of_range
+from preimage.provenance import provenance
+from preimage.report import examined_page, learning_curve
+from preimage.robot import TASKS, Arm, record
+from preimage.runs import find_run, read_config, read_settings, read_view, write_card
+from preimage.training import Progress as Told
+from preimage.training import TrainConfig, train
+from preimage.view import View
+
+
+def record_(task: Positional[str], count: int, out: Path, seed: int = 0) -> None:
+    """Record demonstrations of a task on the simulated arm, as a LeRobotDataset v3.0.
+
+    Args:
+        task: name of the task.
+        count: how many demonstrations.
+        out: folder to write, new or empty.
+        seed: draws the scenes and the tutor's hand.
+    """
+    known_task(task)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ValueError(f"{out} is there already: give a new folder")
+    with bar() as progress:
+        shown = progress.add_task("recording", total=count)
+        arm = Arm()
+        demonstrations = record(arm, TASKS[task], count=count, seed=seed, progress=lambda _done, _all: progress.advance(shown))
+    units = set(arm.joint_units)
+    save(demonstrations, out, task=task, joint_unit=units.pop() if len(units) == 1 else None)
+    steps = sum(map(len, demonstrations))
+    print(f"{count} demonstrations, {steps} steps at {TASKS[task].rate_hz:g} Hz, in {out}")
+
+
+def check(data: Positional[Path], out: Path = Path("check.html"), view: View = View()) -> None:  # noqa: B008, frozen
+    """Say whether recordings can be learned from, what is wrong with them and what would help.
+
+    Args:
+        data: a LeRobotDataset, v3.0 or v2.1, or a folder of pictures and tables of joints.
+        out: page to write, with pictures.
+        view: how the recordings are looked at.
+    """
+    examination = examine(read_episodes(data, view=view))
+    examined_page(examination, out, title=f"preimage check: {data.name}")
+    for finding in examination.findings:
+        print(finding)
+    print(f"the pictures are in {out}")
+    print(examination.verdict)
+    if not examination.trainable:
+        raise SystemExit(1)
+
+
+def train_(
+    data: Positional[Path],
+    out: Path,
+    size: Literal["tiny", "small", "paper"] = "small",
+    resume: bool = False,
+    hold_out: int = 0,
+    rate_hz: float | None = None,
+    intention_dimensions: int | None = None,
+    intention_cost: float | None = None,
+    intention_layers: tuple[str, ...] | None = None,
+    view: View = View(),  # noqa: B008, frozen
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008, frozen
+) -> None:
+    """Train a network on the demonstrations of a data set.
+
+    Args:
+        data: a LeRobotDataset, v3.0 or v2.1, or a folder of pictures and tables of joints.
+        out: run folder to write.
+        size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
+        resume: go on with the run in `out`, with the sizes, settings and held-out episodes it was started with.
+        hold_out: every Nth episode is not trained on but kept for `preimage evaluate --data`; 0 trains on all.
+        rate_hz: steps a second that the model runs at, instead of the size's own.
+        intention_dimensions: numbers that make an intention, instead of the size's own.
+        intention_cost: charge for what an intention tells, instead of the size's own: 0.2 where most can be seen at the start.
+        intention_layers: layers whose initial states are the intention, instead of the size's own: top where most can be seen.
+        view: how the recordings are looked at.
+        config: how the network learns.
+    """
+    refuse_out_of_range(config)
+    opened = open_recordings(data, view=read_view(out) if resume else view)
+    recorded, lines = opened.demonstrations, list(opened.told)
+    learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "held_out": every_nth(len(recorded), hold_out)}
+    asked = {"rate_hz": rate_hz, "intention_dimensions": intention_dimensions}
+    asked |= {"intention_cost": intention_cost, "intention_layers": intention_layers}
+    model_config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
+    refuse_out_of_range(model_config)
+    if resume:
+        started = read_config(find_run(out)).get("data")
+        if not isinstance(started, dict) or started.get("fingerprint") != learned_from["fingerprint"]:
+            raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
+        learned_from = started
+        model_config, config = read_settings(ModelConfig, out, "model"), read_settings(TrainConfig, out, "train")
+    held_out = learned_from.get("held_out", [])
+    demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
+    about = {"size": size, "num_demonstrations": len(demonstrations), "data": learned_from}
+    about |= {"view": asdict(opened.view), "body": asdict(opened.body), "task": task_of(demonstrations), "provenance": provenance()}
+    with bar() as progress:
+        shown = progress.add_task("training", total=config.updates)
+
+        def tell(told: Told) -> None:
+            while lines:  # now that nothing is refused any more, and what is printed is not beside the point
+                print(lines.pop(0))
+            errors = f"training  vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}"
+            progress.update(shown, completed=told.update, description=errors)
+
+        train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell)
+    learning_curve(out / "log.jsonl", out / "learning_curve.png")
+    write_card(out)
+    left_out = f", {len(held_out)} held out" if held_out else ""
+    print(f"trained on {len(demonstrations)} demonstrations{left_out}; the run is in {out}")
+
+
+def task_of(demonstrations: list) -> str | None:
+    scene = demonstrations[0].scene
+    return scene.task if scene else None

@@ -1,0 +1,159 @@
+"""The verbs that end in figures: evaluate, reproduce, report, bench."""
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+import tyro
+from tyro.conf import Positional
+
+from preimage.bench import bench
+from preimage.cli.screen import bar, console, known_task
+from preimage.evaluation import Evaluated, Loop, evaluate, result_of
+from preimage.experiments import cells_of, paper_of, reproduce
+from preimage.held_out import compare_run
+from preimage.options import refuse_out_of_range
+from preimage.planning import PlanConfig
+from preimage.provenance import provenance
+from preimage.report import fill_readme, write_results
+from preimage.robot import TASKS, Arm
+from preimage.runs import find_run, load_model, made_from, read_shown
+from preimage.training import Progress as Told
+from preimage.whole_file import write_json
+
+
+def evaluate_(
+    run: Positional[str],
+    out: Path = Path("evaluation.json"),
+    data: Path | None = None,
+    films: Path | None = None,
+    task: str = "reach",
+    goals: int = 100,
+    seed: int = 5000,
+    loop: Loop = "closed",
+    config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
+) -> None:
+    """Count how often plans to goals that were never shown arrive, beside what luck would give.
+
+    With --data nothing is executed: plans are compared with recordings that were never trained on. That is no success rate.
+
+    Args:
+        run: a run folder, or the name of a bundled model.
+        out: JSON file to write.
+        data: recordings to compare with, instead of the simulator; of the data that was trained on, the episodes held out.
+        films: folder for a few films, recorded beside imagined; for --data.
+        task: name of the task.
+        goals: how many goals.
+        seed: draws the goals; take another one than the demonstrations were recorded with.
+        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from what the tutor saw.
+        config: how the plans are searched for.
+    """
+    known_task(task)
+    refuse_out_of_range(config)
+    if data is not None:
+        return compare_with(data, run, out, films, config)
+    if films is not None:
+        raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
+    model, folder = load_model(run), find_run(run)
+    made = made_from(folder)
+    about = {"task": task, "model": run} | made
+    about |= {"seed": seed, "loop": loop, "paper": paper_of(task, made["num_demonstrations"], loop)}
+    about |= {"plan": asdict(config), "provenance": provenance()}
+    with bar() as progress:
+        shown = progress.add_task("evaluating", total=goals)
+        reached: list[bool] = []
+
+        def tell(one: Evaluated) -> None:
+            reached.append(one.trial.success)
+            so_far = f"evaluating  {sum(reached)}/{len(reached)} reached"
+            progress.update(shown, completed=len(reached), description=so_far)
+            if not console.is_terminal and len(reached) % 10 == 0:
+                print(f"{so_far}, {goals - len(reached)} goals left", file=sys.stderr, flush=True)
+
+        shown_before = read_shown(folder)
+        evaluated = evaluate(model, Arm(), TASKS[task], goals=goals, seed=seed, shown=shown_before, config=config, loop=loop, progress=tell)
+    result = result_of(evaluated, about)
+    write_json(out, result)
+    print(summary("preimage", result))
+    for name, baseline in result["baselines"].items():
+        print(summary(name, baseline))
+
+
+def compare_with(data: Path, run: str, out: Path, films: Path | None, config: PlanConfig) -> None:
+    """The part of `evaluate` that needs no simulator."""
+    with bar() as progress:
+        shown = progress.add_task("planning", total=None)
+
+        def tell(done: int, of_all: int) -> None:
+            progress.update(shown, completed=done, total=of_all)
+
+        lines = compare_run(run, data, out=out, film_folder=films, config=config, progress=tell)
+    print("\n".join(lines))
+
+
+def reproduce_(
+    table: Positional[Literal["table-2", "two-points", "table-3", "two-circles", "all"]],
+    size: Literal["tiny", "small", "paper"] = "small",
+    seeds: int = 3,
+    demonstrations: tuple[int, ...] = (100, 50, 25),
+    work: Path = Path("runs/reproduce"),
+    out: Path = Path("results"),
+) -> None:
+    """Get the paper's numbers again, cell by cell; what was stopped goes on where it was.
+
+    Args:
+        table: which of the paper's tables, or all.
+        size: of the network.
+        seeds: how many of the three training seeds.
+        demonstrations: which numbers of demonstrations.
+        work: folder for demonstrations and runs.
+        out: folder for a JSON file a cell.
+    """
+    with bar() as progress:
+        shown = progress.add_task("training", total=None)
+
+        def learn(told: Told) -> None:
+            progress.update(shown, completed=told.update, total=told.updates)
+
+        def tell(text: str) -> None:
+            progress.update(shown, description=text)
+            if not console.is_terminal:
+                print(text, file=sys.stderr, flush=True)
+
+        chosen = [cell for cell in cells_of(table, size) if cell.seed < seeds and cell.num_demonstrations in demonstrations]
+        reproduce(chosen, work=work, out=out, tell=tell, progress=learn)
+    print(f"{len(chosen)} cells are in {out}; `preimage report` makes the page of them")
+
+
+def report_(results: Path = Path("results"), out: Path = Path("docs/results.md"), readme: Path = Path("README.md")) -> None:
+    """Write the page of results from the JSON files, and the table in the README.
+
+    Args:
+        results: folder of the JSON files.
+        out: page to write.
+        readme: file whose table stands between two marks; without marks it is left alone.
+    """
+    print(f"wrote {write_results(results, out)}")
+    fill_readme(results, readme)
+
+
+def bench_(out: Path = Path("results/bench.json"), device: Literal["cpu", "cuda"] = "cpu", quick: bool = False) -> None:
+    """Measure speed beside the machine's own limit.
+
+    Args:
+        out: JSON file to write.
+        device: what to measure.
+        quick: leave out the paper's size and the growth of planning time.
+    """
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("--device is cuda, and there is none on this machine: give cpu")
+    write_json(out, bench(device=device, quick=quick) | {"provenance": provenance()})
+    print(f"wrote {out}; `preimage report` draws it")
+
+
+def summary(name: str, counted: dict[str, Any]) -> str:
+    low, high = counted["interval"]
+    rate = f"{counted['success']}/{counted['goals']} reached (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
+    return f"{name:22s} {rate}, {counted['deviation_cm']['mean']:.2f} cm off on average"

@@ -1,0 +1,79 @@
+"""The doctor for recordings: looks through them and says what is broken, what will make plans worse, and what would help.
+
+It reads no file and draws nothing. Each threshold stands by its name, with the reason for it, beside the finding that uses it:
+`recording` (lengths, clock), `joints`, `pictures` and `viewpoint` (camera), `goals`.
+
+>>> import numpy as np
+>>> from preimage.records import Episode
+>>> frames, joints = np.zeros((4, 8, 8, 1), np.uint8), np.linspace(0, 1, 8).reshape(4, 2)
+>>> found = examine([Episode(0, frames, joints, ("yaw", "shoulder"), None, 4, 10.0, None)])
+>>> found.trainable, str(found.findings[0])
+(False, 'fault: blank frames: no frame shows anything; look whether the right camera was recorded')
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from preimage.examination.findings import Finding, Kind, Severity
+from preimage.examination.goals import coverage, duplicates, spacing
+from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrest
+from preimage.examination.pictures import blank, moved, scene, stuck
+from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths, unreadable
+from preimage.examination.seen import Seen, look_through
+from preimage.examination.viewpoint import CameraMove, camera_moves
+from preimage.records import Episode
+
+__all__ = ["CameraMove", "Examination", "Finding", "Kind", "Seen", "Severity", "examine"]
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """All that was found, faults first, and what it was found in."""
+
+    findings: list[Finding]
+    seen: list[Seen]
+    """Every episode, as far as it is kept."""
+    moves: list[CameraMove]
+
+    @property
+    def trainable(self) -> bool:
+        """Nothing that was found makes training impossible."""
+        return not self._named(Severity.FAULT)
+
+    @property
+    def verdict(self) -> str:
+        """One or two sentences for somebody who has never done this."""
+        if faults := self._named(Severity.FAULT):
+            return f"Mend first: {', '.join(faults)}. It cannot be trained on as it is; each fault above says what would help."
+        if warnings := self._named(Severity.WARNING):
+            return f"Will train, but: {', '.join(warnings)}. Plans will be worse than they could be; each warning says what would help."
+        return f"Ready to train: nothing stands in the way of learning from these {len(self.seen)} episodes."
+
+    def _named(self, severity: Severity) -> list[str]:
+        return list(dict.fromkeys(finding.kind.value for finding in self.findings if finding.severity is severity))
+
+
+def examine(episodes: Iterable[Episode]) -> Examination:
+    """What a careful person would find, had they looked at every frame. The episodes may come one by one: none is kept whole.
+
+    Raises:
+        ValueError: there is no episode.
+    """
+    seen = [look_through(episode) for episode in episodes]
+    if not seen:
+        raise ValueError("there is no episode to look at: record one or more")
+    comparable, findings = alike(seen)
+    findings += [*unreadable(seen), *lengths(comparable), *durations(comparable), *not_finite(comparable)]
+    whole = [one for one in comparable if min(one.num_frames, one.num_steps) >= LEAST_STEPS]
+    moves = camera_moves(whole)
+    if whole:
+        findings += _findings(whole, moves)
+    order = list(Severity)
+    return Examination(sorted(findings, key=lambda finding: order.index(finding.severity)), seen, moves)
+
+
+def _findings(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> list[Finding]:
+    apart = spacing(seen)
+    of_arm = [*clock(seen), *frozen(seen), *out_of_range(seen), *jumps(seen), *unrest(seen)]
+    of_camera = [*blank(seen), *stuck(seen), *moved(seen, moves)]
+    return [*of_arm, *of_camera, *duplicates(seen, apart), *starts(seen), *coverage(seen, apart), *scene(seen)]

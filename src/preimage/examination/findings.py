@@ -1,0 +1,98 @@
+"""What an examination says: findings, each of a kind and a severity, and the words for where they are."""
+
+import enum
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+class Severity(enum.Enum):
+    """What a finding means for training."""
+
+    FAULT = "fault"
+    """It cannot be trained on as it is."""
+    WARNING = "warning"
+    """It can be trained on, and the plans will suffer."""
+    NOTE = "note"
+    """Good to know."""
+
+
+class Kind(enum.Enum):
+    """What is found; the value is its name on the command line and on the page."""
+
+    UNREADABLE = "unreadable parts"
+    UNLIKE = "episodes unlike each other"
+    LENGTHS = "missing or extra frames"
+    DURATION = "unusual duration"
+    CLOCK = "uneven clock"
+    NOT_FINITE = "joints not finite"
+    FROZEN = "frozen joints"
+    JUMP = "jumps"
+    RANGE = "joints out of range"
+    UNREST = "no rest at the end"
+    STARTS = "starts differ"
+    BLANK = "blank frames"
+    STUCK = "camera stuck"
+    MOVED = "camera moved"
+    DUPLICATES = "duplicate goals"
+    GOALS = "goals"
+    SCENE = "scene"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was found, where, and what would help."""
+
+    kind: Kind
+    severity: Severity
+    what: str
+    """One sentence without its full stop, with the numbers in it."""
+    help: str = ""
+    """What would mend it, an imperative without full stop; empty where nothing needs mending."""
+    episodes: tuple[int, ...] = ()
+    places: tuple[tuple[int, int], ...] = ()
+    """(episode, step) of each single place, where there are such."""
+    joints: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.severity.value}: {self.kind.value}: {self.what}{f'; {self.help}' if self.help else ''}"
+
+
+def listed(numbers: Iterable[int], most: int = 6) -> str:
+    """The numbers in words, neighbours drawn together.
+
+    >>> listed([3, 1, 2, 7]), listed(range(0, 40, 2))
+    ('1 to 3, 7', '0, 2, 4, 6, 8, 10 and 14 more')
+    """
+    ordered = sorted(set(numbers))
+    runs = [[number for _, number in run] for _, run in itertools.groupby(enumerate(ordered), lambda pair: pair[1] - pair[0])]
+    words = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
+    left = sum(map(len, runs[most:]))
+    return ", ".join(words[:most]) + (f" and {left} more" if left else "")
+
+
+def in_episodes(episodes: Iterable[int]) -> str:
+    """
+    >>> in_episodes([4]), in_episodes([4, 5])
+    ('episode 4', 'episodes 4, 5')
+    """
+    chosen = sorted(set(episodes))
+    return f"episode{'s' if len(chosen) != 1 else ''} {listed(chosen)}"
+
+
+def episodes_of(places: Iterable[tuple[int, int]]) -> tuple[int, ...]:
+    """
+    >>> episodes_of([(4, 7), (2, 0), (4, 8)])
+    (2, 4)
+    """
+    return tuple(sorted({episode for episode, _ in places}))
+
+
+def at_places(places: Iterable[tuple[int, int]], most: int = 4) -> str:
+    """
+    >>> at_places([(2, 7), (3, 1)])
+    'episode 2 step 7, episode 3 step 1'
+    """
+    chosen = sorted(set(places))
+    words = ", ".join(f"episode {episode} step {step}" for episode, step in chosen[:most])
+    return words + (f" and {len(chosen) - most} more" if len(chosen) > most else "")

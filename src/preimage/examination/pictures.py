@@ -1,0 +1,87 @@
+"""Whether the camera saw: something, something new when the arm moved, from one place; and how large in the picture that is."""
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+import numpy as np
+
+from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes
+from preimage.examination.seen import SIDE, Seen, divisors
+from preimage.examination.viewpoint import CameraMove, stretches
+
+STUCK_TRAVEL = 0.1
+"""Share of a joint's span that it moves under frames that stay the same in every bit: more than a resting arm wobbles."""
+STUCK_FRAMES = 5
+"""Frames in a row that are the same: fewer are a camera that is slower than the recording."""
+LIVELY = 0.02
+"""Share of all frames in which a pixel must change to belong to what happens: less is a flicker."""
+SMALL_PX = 6.0
+"""What is smaller is hard to learn: two steps down the network's ladder leave less than two cells of it."""
+
+
+def blank(seen: Sequence[Seen]) -> Iterator[Finding]:
+    dark = [one for one in seen if one.blank.any()]
+    if not dark:
+        return
+    episodes = tuple(one.index for one in dark)
+    what = f"{in_episodes(episodes)} hold {sum(int(one.blank.sum()) for one in dark)} frames of one colour"
+    places = tuple((one.index, int(step)) for one in dark for step in np.flatnonzero(one.blank))
+    if not any(one.sees for one in seen):
+        yield Finding(Kind.BLANK, Severity.FAULT, "no frame shows anything", "look whether the right camera was recorded", episodes, places)
+    else:
+        yield Finding(Kind.BLANK, Severity.WARNING, what, "leave these episodes out", episodes, places)
+
+
+def stuck(seen: Sequence[Seen]) -> Iterator[Finding]:
+    """Frames that stay the same in every bit while a joint moves; blank ones have a finding of their own."""
+    scale = divisors(seen)
+    places = [place for one in seen if one.sees for place in _stuck_at(one, scale)]
+    episodes = episodes_of(places)
+    if not places:
+        return
+    what = f"the frames stay the same while the arm moves, from {at_places(places)} on"
+    if len(episodes) == len(seen):
+        yield Finding(Kind.STUCK, Severity.FAULT, what, "look whether the camera was recorded at all", episodes, tuple(places))
+    else:
+        yield Finding(Kind.STUCK, Severity.WARNING, what, "leave these episodes out", episodes, tuple(places))
+
+
+def _stuck_at(one: Seen, scale: np.ndarray) -> Iterator[tuple[int, int]]:
+    for same, run in groupby(range(len(one.same_as_before)), key=lambda step: bool(one.same_as_before[step])):
+        steps = list(run)
+        joints = one.joints[steps[0] : steps[-1] + 2]
+        if same and len(steps) >= STUCK_FRAMES and len(joints) and (np.ptp(joints, axis=0) / scale).max() > STUCK_TRAVEL:
+            yield one.index, steps[0]
+
+
+def moved(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> Iterator[Finding]:
+    if not moves:
+        return
+    shared = max(stretches(seen, moves), key=len)
+    between = ", ".join(f"{move.before} and {move.after}" for move in moves[:6])
+    what = f"between episodes {between}{f' and {len(moves) - 6} more times' if len(moves) > 6 else ''}"
+    what += f"; {len(shared)} of {len(seen)} episodes in a row share a viewpoint ({in_episodes(shared)})"
+    help_ = "clamp the camera, and train on the episodes that share a viewpoint"
+    yield Finding(Kind.MOVED, Severity.WARNING, what, help_, tuple(move.after for move in moves))
+
+
+def scene(seen: Sequence[Seen]) -> Iterator[Finding]:
+    """How much of the frame ever changes and how large what moves is, at the size a network sees."""
+    seeing = [one for one in seen if one.sees]
+    if not seeing:
+        return
+    lively = np.average([one.changes for one in seeing], axis=0, weights=[one.num_frames for one in seeing]) > LIVELY
+    size_px = float(np.median([one.moving_px for one in seeing]))
+    if not lively.any() or size_px == 0:
+        yield Finding(Kind.SCENE, Severity.WARNING, "nothing in the picture ever changes", "look where the camera points")
+        return
+    rows, columns = np.flatnonzero(lively.any(1))[[0, -1]] + (0, 1), np.flatnonzero(lively.any(0))[[0, -1]] + (0, 1)
+    height, width = lively.shape
+    gain = max(height, width) / max(np.ptp(rows), np.ptp(columns))
+    what = f"at {width} x {height} pixels {100 * lively.mean():.0f} % of the frame ever changes and what moves is {size_px:.0f} pixels wide"
+    if gain > 1.1:
+        (top, bottom), (left, right) = 100 * rows / height, 100 * columns / width
+        what += f"; cropped to {top:.0f} to {bottom:.0f} % of the height and {left:.0f} to {right:.0f} % of the width it would be "
+        what += f"{size_px * gain:.0f}"
+    help_ = f"crop, move the camera closer, or train with more than {SIDE} pixels" if size_px < SMALL_PX else ""
+    yield Finding(Kind.SCENE, Severity.NOTE, what, help_)
