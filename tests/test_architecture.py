@@ -9,6 +9,7 @@ import preimage
 
 ROOT = Path(preimage.__file__).parent
 ORDER = [
+    "wording",
     "records",
     "whole_file",
     "coding",
@@ -27,6 +28,7 @@ ORDER = [
     "sequences",
     "limits",
     "prediction_error",
+    "hub",
     "runs",
     "training",
     "cloning",

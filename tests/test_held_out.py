@@ -127,7 +127,7 @@ def test_a_result_survives_json_and_agrees_with_its_rows(compared):
 def test_what_is_printed_claims_no_success(compared):
     result = result_of_comparison(compared, {})
     lines = lines_of(result)
-    assert lines[0] == "2 episodes that were never trained on: 3, 8"
+    assert lines[0] == "2 episodes never trained on: 3, 8"
     assert "no success rate" in lines[-1]
     share = result["imagined_as_share_of"]["nearest_demonstration"]["joints_at_arrival"]
     assert lines[6] == f"At arrival the imagined joints are off by {share:.2f} of the error of nearest_demonstration, on average."
@@ -187,7 +187,7 @@ def test_evaluate_plans_for_the_held_out_episodes(capsys, held_out_run, five, tm
     assert result["episodes"] == [1, 3]
     assert result["data"]["rest_was_trained_on"] is True
     assert "success_rate" not in result
-    assert printed.startswith("2 episodes that were never trained on: 1, 3\n")
+    assert printed.startswith("2 episodes never trained on: 1, 3\n")
     assert len(list((tmp_path / "films").glob("*.mp4"))) == 2
 
 

@@ -50,9 +50,13 @@ def test_no_dimensions_leave_a_free_intention_as_it_is() -> None:
     torch.testing.assert_close(space.intention(space.training).flatten(), one.intentions().flatten())
 
 
-def test_one_sequence_spans_no_space() -> None:
-    with pytest.raises(ValueError, match="one training sequence spans no space"):
-        table("free", num_sequences=1).space(dimensions=4)
+@pytest.mark.parametrize("kind", ["free", "latent"])
+def test_one_sequence_spans_no_space_and_is_searched_around_as_it_is(kind: str) -> None:
+    one = table(kind, num_sequences=1)
+    space, plain = one.space(dimensions=4), one.space(dimensions=None)
+    assert torch.equal(space.training, plain.training)
+    elsewhere = space.training + 1
+    assert torch.equal(space.intention(elsewhere).flatten(), plain.intention(elsewhere).flatten())
 
 
 def test_a_latent_is_charged_its_divergence_from_the_standard_normal() -> None:

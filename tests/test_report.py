@@ -173,6 +173,41 @@ def test_figure_is_a_png_of_plausible_size_with_something_on_it(tmp_path, shape,
         assert np.asarray(png.convert("L")).std() > 20
 
 
+@pytest.fixture
+def curves(monkeypatch, tmp_path):
+    """The numbers that a figure draws of the joints and the labels of their axes, from top to bottom."""
+
+    def draw(plan: Plan, trial: Trial | None, joint_unit: str | None) -> dict[str, np.ndarray]:
+        drawn = []
+        monkeypatch.setattr(preimage.report.figures, "save", lambda drawing, path: drawn.append(drawing) or Path(path))
+        figure(plan, trial, tmp_path / "a.png", joint_unit=joint_unit)
+        strips = [axes for axes in drawn[0].axes if axes.lines]
+        lines = {axes.get_ylabel(): [line for line in axes.lines if line.get_linewidth() == 2.6] for axes in strips}
+        return {label: np.array([line.get_ydata() for line in several]) for label, several in lines.items()}
+
+    return draw
+
+
+NAMES = "yaw", "finger_1", "left_gripper"
+
+
+@pytest.mark.parametrize(
+    ("executed", "unit", "wanted"),
+    [
+        (False, "rad", {"joint angle (°)": ((0, 1, 2), 180 / np.pi)}),
+        (False, "deg", {"joints (deg)": ((0, 1, 2), 1)}),
+        (False, None, {"joints": ((0, 1, 2), 1)}),
+        (True, None, {"joint angle (°)": ((0, 1), 180 / np.pi), "gripper (m)": ((2,), 1)}),
+    ],
+)
+def test_joints_are_drawn_in_the_unit_that_the_label_tells(curves, executed, unit, wanted):
+    plan = make_plan(joint_names=NAMES)
+    drawn = curves(plan, make_trial(plan) if executed else None, unit)
+    assert list(drawn) == list(wanted)
+    for label, (joints, factor) in wanted.items():
+        np.testing.assert_allclose(drawn[label], factor * plan.joints[: plan.arrival_step + 1, list(joints)].T)
+
+
 def test_figure_of_a_plan_that_is_there_at_once(tmp_path):
     plan = make_plan(num_steps=3, arrival_step=0)
     assert figure(plan, make_trial(plan, num_steps=1), tmp_path / "a.png").exists()

@@ -15,7 +15,7 @@ from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped
 from preimage.regression import regress_intention
 from preimage.report import figure, film
 from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
-from preimage.runs import load_model, read_shown
+from preimage.runs import from_pretrained, load_model, push_to_hub, read_shown
 from preimage.training import NonFinite, TrainConfig, train
 
 __all__ = [
@@ -45,6 +45,7 @@ __all__ = [
     "figure",
     "film",
     "follow",
+    "from_pretrained",
     "imagine_library",
     "join",
     "load",
@@ -52,6 +53,7 @@ __all__ = [
     "load_plan",
     "plan",
     "plan_in_turn",
+    "push_to_hub",
     "read_shown",
     "recognise",
     "record",

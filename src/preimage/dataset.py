@@ -24,6 +24,7 @@ from preimage.lerobot_reading import EXTRAS, INFO
 from preimage.lerobot_writing import save
 from preimage.records import Body, Demonstration, Description, Episode
 from preimage.view import COLOURS, Eye, View, moving, telling_channels
+from preimage.wording import number_of
 
 __all__ = ["Opened", "describe", "fingerprint", "load", "open_recordings", "read_episodes", "save"]
 
@@ -196,10 +197,11 @@ def _told(demonstrations: Sequence[Demonstration], description: Description, vie
     colour = {"grey": "in grey", "colour": "in colour", "keep": "with depth"}[view.colour]
     steps, rate_hz = sum(map(len, demonstrations)), description.rate_hz
     lines = [
-        f"{description.version}: {len(demonstrations)} episodes, {steps} steps at {rate_hz:g} Hz",
+        f"{description.version}: {number_of(len(demonstrations), 'episode')}, {number_of(steps, 'step')} at {rate_hz:g} Hz",
         f"camera {camera}: {sizes[0]}{crop}{seen}, {colour}",
     ]
     if left_out := [name for name in description.joint_names if name not in view.joints]:
-        number, why = f"{len(view.joints)} of {len(description.joint_names)} joints", "" if chosen else ", for they do not move"
+        number = f"{len(view.joints)} of {number_of(len(description.joint_names), 'joint')}"
+        why = "" if chosen else ", for they do not move"
         return *lines, f"{number}: {', '.join(view.joints)}; left out{why}: {', '.join(left_out)}"
-    return *lines, f"{len(view.joints)} joints: {', '.join(view.joints)}"
+    return *lines, f"{number_of(len(view.joints), 'joint')}: {', '.join(view.joints)}"

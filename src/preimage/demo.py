@@ -9,6 +9,7 @@ from preimage.report import Case, figure, film, page
 from preimage.robot import TASKS, Arm
 from preimage.runs import find_run, load_model, made_from, read_shown
 from preimage.whole_file import write_json
+from preimage.wording import number_of
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Report:
 def run(name: str, *, goals: int, seed: int, out: Path, progress: Callable[[], None]) -> Report:
     """Plan with a bundled model, execute, and write films, figures, result.json and report.html into `out`."""
     folder = find_run(name)
-    model, arm, task = load_model(name), Arm(), TASKS[name]
+    model, arm, task = load_model(folder), Arm(), TASKS[name]
     cases: list[Case] = []
     lines: list[str] = []
 
@@ -39,8 +40,8 @@ def run(name: str, *, goals: int, seed: int, out: Path, progress: Callable[[], N
     result = result_of(evaluated, about)
     write_json(out / "result.json", result)
     written = page(result, cases, out / "report.html", title=f"preimage: {name}")
-    counted = f"{result['success']} of {result['goals']} goals reached"
-    return Report(written, (*lines, counted))
+    verdict = f"{result['success']} of {number_of(result['goals'], 'goal')} reached"
+    return Report(written, (*lines, verdict))
 
 
 def show_case(index: int, one: Evaluated, out: Path) -> Case:

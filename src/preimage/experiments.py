@@ -27,6 +27,7 @@ from preimage.robot import TASKS, Arm, record
 from preimage.runs import load_model, read_config, read_settings, read_shown, write_card
 from preimage.training import Progress, TrainConfig, train
 from preimage.whole_file import write_json
+from preimage.wording import number_of
 
 SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.paper}
 TEST_GOALS = {"reach": 40, "two-points": 40, "move-object": 50, "two-circles": 50}
@@ -131,7 +132,7 @@ def demonstrations_of(cell: Cell, work: Path, tell: TELL) -> list[Demonstration]
     """The cell's demonstrations, recorded where they are not there yet; fewer are the first of more."""
     folder = work / "data" / f"{cell.task}-{cell.num_demonstrations}"
     if not folder.exists():
-        tell(f"recording {cell.num_demonstrations} demonstrations of {cell.task}")
+        tell(f"recording {number_of(cell.num_demonstrations, 'demonstration')} of {cell.task}")
         save(record(Arm(), TASKS[cell.task], count=cell.num_demonstrations, seed=0), folder, task=cell.task)
     return load(folder)
 

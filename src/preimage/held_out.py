@@ -30,6 +30,7 @@ from preimage.report import film
 from preimage.runs import find_run, load_model, made_from, read_config, read_shown, read_view
 from preimage.sequences import at_rate
 from preimage.whole_file import write_json
+from preimage.wording import number_of
 
 NOTE = "How near what is imagined comes to what was recorded. This is no success rate: no robot moved, and other ways may lead there too."
 NUM_MOMENTS = 50
@@ -86,7 +87,9 @@ def every_nth(num_episodes: int, nth: int) -> list[int]:
     if nth == 0:
         return []
     if not 2 <= nth <= num_episodes:
-        raise ValueError(f"hold-out is {nth} with {num_episodes} episodes: give 2 to {num_episodes}, or 0 to train on all of them")
+        raise ValueError(
+            f"hold-out is {nth} with {number_of(num_episodes, 'episode')}: give 2 to {num_episodes}, or 0 to train on all of them"
+        )
     return list(range(nth - 1, num_episodes, nth))
 
 
@@ -143,8 +146,8 @@ def compare_run(
     Raises:
         ValueError: there is no such run or data set, they do not fit together, or every episode was trained on.
     """
-    model, folder, recorded = load_model(run), find_run(run), load(data, view=read_view(run))
-    shown = read_shown(folder)
+    folder = find_run(run)
+    model, shown, recorded = load_model(folder), read_shown(folder), load(data, view=read_view(folder))
     episodes = never_shown(recorded, shown)
     if not episodes:
         raise ValueError(f"{run} was trained on every episode of {data}: train with --hold-out 4, or give other recordings")
@@ -155,7 +158,7 @@ def compare_run(
         progress(len(done), len(episodes))
 
     compared = compare(model, {episode: recorded[episode] for episode in episodes}, shown=shown, config=config, progress=tell)
-    result = result_of_comparison(compared, _about(run, data, recorded) | {"plan": asdict(config), "provenance": provenance()})
+    result = result_of_comparison(compared, _about(run, folder, data, recorded) | {"plan": asdict(config), "provenance": provenance()})
     write_json(out, result)
     written = write_films(compared, film_folder) if film_folder else []
     return lines_of(result) + [f"film: {path}" for path in written]
@@ -196,7 +199,7 @@ def lines_of(result: Mapping[str, Any]) -> list[str]:
     told = ", ".join(map(str, episodes[:TOLD])) + (", ..." if len(episodes) > TOLD else "")
     heads = "joints at arrival", "joints on the way", "frame at arrival"
     lines = [
-        f"{len(episodes)} episodes that were never trained on: {told}",
+        f"{number_of(len(episodes), 'episode')} never trained on: {told}",
         f"{'mean (median) error':22s}" + "".join(f"{head:>24s}" for head in heads),
     ]
     for name, counted in {"imagined": result["imagined"], **result["baselines"]}.items():
@@ -235,9 +238,8 @@ def _frames_at_moments(frames: UInt8[np.ndarray, "T H W C"], count: int) -> UInt
     return frames[np.linspace(0, len(frames) - 1, count).round().astype(int)]
 
 
-def _about(run: str, data: Path, recorded: Sequence[Demonstration]) -> dict[str, Any]:
+def _about(run: str, folder: Path, data: Path, recorded: Sequence[Demonstration]) -> dict[str, Any]:
     """Which run is compared with which data, and whether those are the data whose other episodes it was trained on."""
-    folder = find_run(run)
     trained_on, name = read_config(folder).get("data") or {}, fingerprint(recorded)
     told = {"name": data.name, "fingerprint": name, "rest_was_trained_on": trained_on.get("fingerprint") == name}
     return {"kind": "held-out", "model": run, "data": told} | made_from(folder)

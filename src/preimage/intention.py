@@ -157,13 +157,10 @@ def space_of(
 ) -> IntentionSpace:
     """The space whose coordinates are principal components of the rows, each of unit variance over them; None: the rows as they are.
 
-    Raises:
-        ValueError: one row alone spans no space.
+    So it is too where there is one row, for that spans no space of its own.
     """
-    if dimensions is None:
+    if dimensions is None or len(rows) < 2:
         return IntentionSpace(rows, intention_of)
-    if len(rows) < 2:
-        raise ValueError("one training sequence spans no space of intentions: plan with dimensions None, or train on more")
     mean = rows.mean(0)
     left, sizes, directions = torch.linalg.svd(rows - mean, full_matrices=False)
     kept, freedom = min(dimensions, len(rows) - 1, rows.shape[1]), (len(rows) - 1) ** 0.5

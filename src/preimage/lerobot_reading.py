@@ -27,6 +27,7 @@ from jaxtyping import Float
 from preimage.pictures import AGAIN, decode, video_frames
 from preimage.records import Description, Episode, Scene, scene_of
 from preimage.view import Eye, Picture
+from preimage.wording import number_of
 
 VERSIONS = "v2.1", "v3.0"
 STATE, INFO, EXTRAS = "observation.state", "meta/info.json", "meta/preimage.json"
@@ -274,5 +275,6 @@ def _read_scenes(folder: Path, num_episodes: int) -> list[Scene | None]:
     except (AttributeError, KeyError, TypeError) as error:
         raise ValueError(f"{path} has no usable scenes: repair it, or remove it to load the data set without scenes") from error
     if len(scenes) != num_episodes:
-        raise ValueError(f"{path} has {len(scenes)} scenes for {num_episodes} episodes: remove it to load the data set without scenes")
+        counts = f"{number_of(len(scenes), 'scene')} for {number_of(num_episodes, 'episode')}"
+        raise ValueError(f"{path} has {counts}: remove it to load the data set without scenes")
     return scenes

@@ -25,10 +25,12 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from safetensors.torch import save as to_bytes
 
+from preimage import hub
 from preimage.model import PDVMRNN, ModelConfig, Sensors
 from preimage.records import Body, Demonstration, Shown
 from preimage.view import COLOURS, View
 from preimage.whole_file import whole_file, write_json
+from preimage.wording import number_of
 
 Record = TypeVar("Record")
 
@@ -37,17 +39,21 @@ BUNDLED = ("reach", "move-object")
 
 
 def find_run(name: str | Path) -> Path:
-    """The folder of a run: a path, or the name of a bundled model.
+    """The folder of a run: a path, the name of a bundled model, or where a run of the Hugging Face Hub, `hf:owner/name`, was fetched to.
 
     Raises:
-        ValueError: there is neither.
+        ValueError: there is none of them.
+        ConnectionError: it is on the Hub, was never fetched, and the Hub cannot be reached.
     """
+    if isinstance(name, str) and hub.is_there(name):
+        return hub.download(name)
     path = Path(name)
     if str(name) in BUNDLED and not path.exists():
         path = Path(str(resources.files("preimage"))) / "bundled" / str(name)
     if not (path / "config.json").is_file():
         raise ValueError(
-            f"{name} is no run folder: it has no config.json; give a folder that `preimage train` wrote, or {', '.join(BUNDLED)}"
+            f"{name} is no run folder: it has no config.json; give a folder that `preimage train` wrote, {', '.join(BUNDLED)}, "
+            f"or {hub.PREFIX}OWNER/NAME of the Hugging Face Hub"
         )
     return path
 
@@ -161,7 +167,10 @@ def seen_by(sensors: Sensors) -> View:
 
 
 def load_model(name: str | Path) -> PDVMRNN:
-    """The trained model of a run folder or a bundled name, in float32, ready to plan.
+    """The trained model of a run, in float32, ready to plan.
+
+    Args:
+        name: a run folder, a bundled name, or `hf:owner/name` of the Hugging Face Hub.
 
     Raises:
         ValueError: there is no such run, or its files are broken or do not fit together.
@@ -180,6 +189,46 @@ def load_model(name: str | Path) -> PDVMRNN:
     return model.requires_grad_(False).eval()
 
 
+def from_pretrained(name_or_folder: str | Path, *, revision: str | None = None) -> PDVMRNN:
+    """The trained model of a run, as `load_model` gives it, under the name that other libraries have for this.
+
+    Args:
+        name_or_folder: a run folder, a bundled name, or `hf:owner/name` of the Hugging Face Hub; no other name leads to the network.
+        revision: branch, tag or commit of a run on the Hub; by default the newest.
+
+    Raises:
+        ValueError: there is no such run, its files are broken or do not fit together, or it has a revision and is not on the Hub.
+        ConnectionError: it is on the Hub, was never fetched, and the Hub cannot be reached.
+    """
+    if revision is not None:
+        if not hub.is_there(name_or_folder):
+            raise ValueError(f"revision is {revision}, and {name_or_folder} is not on the Hugging Face Hub: give {hub.PREFIX}OWNER/NAME")
+        name_or_folder = f"{name_or_folder}@{revision}"
+    return load_model(name_or_folder)
+
+
+def push_to_hub(run: str | Path, repo_id: str, *, license: str | None = None, private: bool = False) -> str:
+    """Send a run to the Hugging Face Hub, from where `hf:owner/name` loads it; the address of its page.
+
+    Sent are config.json, which tells the command that started the training; model.safetensors; shown.npz, which shows the last frames and
+    the joints of the demonstrations; and the model card. Do not send what nobody should see.
+
+    Args:
+        run: a run folder, or a bundled name.
+        repo_id: `owner/name`; a repository that is not there is made.
+        license: under which the weights are given, by the Hub's word for it, as `mit`; by default the card says none.
+        private: whether a new repository is to be seen by its owner alone.
+
+    Raises:
+        ValueError: there is no such run, it has no checkpoint yet, the name is none, or nobody is logged in who may write there.
+        ConnectionError: the Hub cannot be reached.
+    """
+    folder = find_run(run)
+    if not (folder / hub.CARD).exists():  # it was trained by `train`, or not to the end
+        write_card(folder)
+    return hub.upload(folder, repo_id, license=license, private=private)
+
+
 def tuples(record: type[Record], fields: Mapping[str, Any]) -> Record:
     """Build a dataclass from JSON, where its tuples have become lists."""
     return record(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
@@ -188,17 +237,21 @@ def tuples(record: type[Record], fields: Mapping[str, Any]) -> Record:
 def write_card(folder: Path) -> None:
     """Write README.md, the model card: what the model is, what it learned from, how it was made, what it is not for."""
     config = read_config(folder)
+    if not (folder / "log.jsonl").is_file():
+        raise ValueError(f"{folder} has no log.jsonl, of which the model card tells: restore it or train again")
     train, provenance = config["train"], config.get("provenance", {})
     lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     last = lines[-1]
+    demonstrations = number_of(config.get("num_demonstrations", config["num_sequences"]), "demonstration")
     minutes = sum(line["seconds"] for line in lines) / 60
     card = f"""---
 library_name: preimage
-tags: [robotics, predictive-coding]
+pipeline_tag: robotics
+tags: [robotics, predictive-coding, imitation-learning]
 ---
 # {folder.name}
 
-A P-DVMRNN (Choi, Matsumoto, Jung, Tani 2018) of size `{config.get("size")}`, trained on {config.get("num_demonstrations")} demonstrations
+A P-DVMRNN (Choi, Matsumoto, Jung, Tani 2018) of size `{config.get("size")}`, trained on {demonstrations}
 of task `{config.get("task")}` (data `{config.get("data", {}).get("fingerprint")}`).
 
 | | |
@@ -209,7 +262,7 @@ of task `{config.get("task")}` (data `{config.get("data", {}).get("fingerprint")
 | commit, day | {provenance.get("commit")}, {provenance.get("date")} |
 | versions | {", ".join(f"{name} {number}" for name, number in provenance.get("versions", {}).items())} |
 
-`config.json` holds all settings and seeds, `log.jsonl` the errors update by update. Plan with it by
+`config.json` holds all settings and seeds, `log.jsonl` of the run folder the errors update by update. Plan with it by
 `preimage plan RUN --goal IMAGE --out PLAN`. It knows one arm, one camera and one kind of task: those it was shown.
 """
     with whole_file(folder / "README.md") as path:

@@ -20,13 +20,15 @@ from preimage.report import figure, film
 from preimage.robot import Arm
 from preimage.runs import BUNDLED, find_run, load_model, read_body, read_shown, read_view
 from preimage.sources import find_percept
+from preimage.wording import number_of
+
+BundledTask = Annotated[str, tyro.conf.arg(help=f"which of the bundled models: {' or '.join(BUNDLED)}.")]
 
 
-def demo(task: str = "reach", goals: int = 5, seed: int = 7, out: Path = Path("demo")) -> None:
+def demo(task: BundledTask = "reach", goals: int = 5, seed: int = 7, out: Path = Path("demo")) -> None:
     """Let the bundled model plan to goals it never saw, execute the plans, and show films and a report.
 
     Args:
-        task: which of the bundled models: reach or move-object.
         goals: how many goals.
         seed: draws the goals.
         out: folder for films, figures and report.html.
@@ -53,7 +55,7 @@ def plan_(
     """Imagine a way to a goal, or to several in a row.
 
     Args:
-        run: a run folder, or the name of a bundled model.
+        run: a run folder, the name of a bundled model, or hf:OWNER/NAME of the Hugging Face Hub.
         goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set;
             of several, each is planned to from where the plan to the one before ends, and the whole is one plan.
         out: folder to write: the plan, a film and a figure of it, and the joints to command as CSV and as a LeRobotDataset.
@@ -64,8 +66,9 @@ def plan_(
     """
     refuse_out_of_range(config)
     refuse_useless_joints(goal_joints, num_goals=len(goal), modalities=config.modalities)
-    model, view, body = load_model(run), read_view(run), read_body(run)
-    limits = limits_seen(model.sensors, read_shown(find_run(run)), unit=body.joint_unit)
+    folder = find_run(run)  # once, so that all parts of a run on the Hub are of one revision
+    model, view, body = load_model(folder), read_view(folder), read_body(folder)
+    limits = limits_seen(model.sensors, read_shown(folder), unit=body.joint_unit)
     if joint_limits:
         limits = read_limits(joint_limits, limits, rate_hz=model.config.rate_hz)
     wanted = [find_percept(each, model.sensors, view=view, default_step=-1) for each in goal]
@@ -79,7 +82,7 @@ def plan_(
     save_plan(found, out, scene=wanted[-1].scene, commands=commands)
     save_episode(found, out / "lerobot", commands=commands, body=body)
     film(found, None, out / "imagined.mp4")
-    figure(found, None, out / "imagined.png")
+    figure(found, None, out / "imagined.png", joint_unit=body.joint_unit)
     print("\n".join(sentences_of(legs, found, out)))
     print("\n".join(limited) or "no limit changed the joints to command")
 
@@ -97,7 +100,7 @@ def refuse_useless_joints(goal_joints: tuple[float, ...] | None, *, num_goals: i
 def sentences_of(legs: Sequence[Plan], found: Plan, out: Path) -> list[str]:
     """What there is to say of a plan, and of its legs where there are several."""
     lines = [
-        f"goal {number} of {len(legs)}: arrives after {leg.arrival_step} steps, error {leg.error:.3f}, {leg.stopped.value}"
+        f"goal {number} of {len(legs)}: arrives after {number_of(leg.arrival_step, 'step')}, error {leg.error:.3f}, {leg.stopped.value}"
         for number, leg in enumerate(legs, start=1)
         if len(legs) > 1
     ]

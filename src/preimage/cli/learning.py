@@ -21,6 +21,7 @@ from preimage.runs import find_run, read_config, read_settings, read_view, write
 from preimage.training import Progress as Told
 from preimage.training import TrainConfig, train
 from preimage.view import View
+from preimage.wording import number_of
 
 
 def record_(task: Positional[str], count: int, out: Path, seed: int = 0) -> None:
@@ -42,7 +43,7 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0) -> None
     units = set(arm.joint_units)
     save(demonstrations, out, task=task, joint_unit=units.pop() if len(units) == 1 else None)
     steps = sum(map(len, demonstrations))
-    print(f"{count} demonstrations, {steps} steps at {TASKS[task].rate_hz:g} Hz, in {out}")
+    print(f"{number_of(count, 'demonstration')}, {number_of(steps, 'step')} at {TASKS[task].rate_hz:g} Hz, in {out}")
 
 
 def check(data: Positional[Path], out: Path = Path("check.html"), view: View = View()) -> None:  # noqa: B008, frozen
@@ -122,7 +123,7 @@ def train_(
     learning_curve(out / "log.jsonl", out / "learning_curve.png")
     write_card(out)
     left_out = f", {len(held_out)} held out" if held_out else ""
-    print(f"trained on {len(demonstrations)} demonstrations{left_out}; the run is in {out}")
+    print(f"trained on {number_of(len(demonstrations), 'demonstration')}{left_out}; the run is in {out}")
 
 
 def task_of(demonstrations: list) -> str | None:

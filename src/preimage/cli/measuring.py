@@ -40,7 +40,7 @@ def evaluate_(
     With --data nothing is executed: plans are compared with recordings that were never trained on. That is no success rate.
 
     Args:
-        run: a run folder, or the name of a bundled model.
+        run: a run folder, the name of a bundled model, or hf:OWNER/NAME of the Hugging Face Hub.
         out: JSON file to write.
         data: recordings to compare with, instead of the simulator; of the data that was trained on, the episodes held out.
         films: folder for a few films, recorded beside imagined; for --data.
@@ -56,7 +56,8 @@ def evaluate_(
         return compare_with(data, run, out, films, config)
     if films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
-    model, folder = load_model(run), find_run(run)
+    folder = find_run(run)
+    model = load_model(folder)
     made = made_from(folder)
     about = {"task": task, "model": run} | made
     about |= {"seed": seed, "loop": loop, "paper": paper_of(task, made["num_demonstrations"], loop)}

@@ -22,6 +22,7 @@ from preimage.examination.recording import LEAST_STEPS, alike, clock, durations,
 from preimage.examination.seen import Seen, look_through
 from preimage.examination.viewpoint import CameraMove, camera_moves
 from preimage.records import Episode
+from preimage.wording import number_of
 
 __all__ = ["CameraMove", "Examination", "Finding", "Kind", "Seen", "Severity", "examine"]
 
@@ -47,7 +48,7 @@ class Examination:
             return f"Mend first: {', '.join(faults)}. It cannot be trained on as it is; each fault above says what would help."
         if warnings := self._named(Severity.WARNING):
             return f"Will train, but: {', '.join(warnings)}. Plans will be worse than they could be; each warning says what would help."
-        return f"Ready to train: nothing stands in the way of learning from these {len(self.seen)} episodes."
+        return f"Ready to train: nothing stands in the way of learning from {number_of(len(self.seen), 'episode')}."
 
     def _named(self, severity: Severity) -> list[str]:
         return list(dict.fromkeys(finding.kind.value for finding in self.findings if finding.severity is severity))

@@ -17,6 +17,7 @@ from preimage.report.figures import ARRIVAL, FAILURE, INK, MUTED, WIDTH_INCHES, 
 from preimage.report.films import as_rgb
 from preimage.report.pages import document
 from preimage.whole_file import whole_file
+from preimage.wording import number_of
 
 NUM_COLUMNS = 10
 MOST_SHOWN, MOST_MOVES, MOST_JOINTS = 40, 6, 32
@@ -45,8 +46,9 @@ def examined_page(examination: Examination, path: str | os.PathLike[str], *, tit
 def _facts(seen: Sequence[Seen]) -> str:
     first, steps = seen[0], sum(one.num_steps for one in seen)
     height, width, channels = first.shape
-    facts = f"{len(seen)} episodes · {steps} steps at {first.rate_hz:g} Hz · frames {height} x {width} x {channels}"
-    return f'<p class="facts">{escape(facts)} · {len(first.joint_names)} joints</p>'
+    facts = f"{number_of(len(seen), 'episode')} · {number_of(steps, 'step')} at {first.rate_hz:g} Hz"
+    facts += f" · frames {height} x {width} x {channels}"
+    return f'<p class="facts">{escape(facts)} · {number_of(len(first.joint_names), "joint")}</p>'
 
 
 def _table(findings: Sequence[Finding]) -> str:

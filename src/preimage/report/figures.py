@@ -5,6 +5,7 @@ Only matplotlib's object interface is used: no pyplot, no backend chosen for any
 
 import json
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -28,16 +29,30 @@ WIDTH_INCHES, DOTS_PER_INCH = 10.0, 130
 INK, MUTED, ARRIVAL, SUCCESS, FAILURE = "#1c2430", "#66707d", "#c47f00", "#12804a", "#c0322b"
 
 
-def figure(plan: Plan, trial: Trial | None, path: str | os.PathLike[str]) -> Path:
+@dataclass(frozen=True)
+class _Strip:
+    """Joints that share an axis."""
+
+    label: str
+    joints: list[int]
+    inches: float = 3.0
+    in_degrees: bool = False
+
+
+def figure(plan: Plan, trial: Trial | None, path: str | os.PathLike[str], *, joint_unit: str | None = None) -> Path:
     """Writes a PNG: initial and goal frame, the imagined and the executed sequence, and below them the joint curves.
 
-    Joints are in degrees; what is named a gripper or a finger does not turn and gets a strip of its own, in the unit it came in.
+    Joints are drawn in the unit of the training data, radians as degrees. What was executed was the simulated arm's: its joints are in rad,
+    but for the gripper, which is in m and gets a strip of its own.
+
+    Args:
+        joint_unit: the unit of all joints, where the data told (`runs.read_body`).
     """
     num_rows = 2 if trial is None else 3
     height, width = plan.frames.shape[1:3]
     row_inches = WIDTH_INCHES * 0.86 / NUM_COLUMNS * height / width + 0.24
-    strips = _strips(plan.joint_names)
-    strip_inches = [3.0 if unit == "deg" else 1.0 for unit in strips]
+    strips = _strips(plan.joint_names, joint_unit, executed=trial is not None)
+    strip_inches = [strip.inches for strip in strips]
     head_inches, gap_inches, foot_inches = 0.55, 0.35, 0.5
     frames_inches, curves_inches = num_rows * row_inches, sum(strip_inches)
     total = head_inches + frames_inches + gap_inches + curves_inches + foot_inches
@@ -140,23 +155,25 @@ def _name_row(axes: Axes, name: str) -> None:
     axes.set_ylabel(name, fontsize=10.5, weight="bold", color=INK, labelpad=6)
 
 
-def _strips(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
-    """Indices of the joints that share an axis, by the unit written on it."""
-    slides = [i for i, name in enumerate(joint_names) if "gripper" in name.lower() or "finger" in name.lower()]
-    turns = [i for i in range(len(joint_names)) if i not in slides]
-    return {unit: joints for unit, joints in (("deg", turns), ("gripper", slides)) if joints}
+def _strips(joint_names: tuple[str, ...], joint_unit: str | None, *, executed: bool) -> list[_Strip]:
+    everything = list(range(len(joint_names)))
+    slides = [joint for joint in everything if executed and "gripper" in joint_names[joint].lower()]
+    if not executed and joint_unit != "rad":
+        return [_Strip(f"joints ({joint_unit})" if joint_unit else "joints", everything)]
+    turns = _Strip("joint angle (°)", [joint for joint in everything if joint not in slides], in_degrees=True)
+    return [strip for strip in (turns, _Strip("gripper (m)", slides, inches=1.0)) if strip.joints]
 
 
-def _draw_curves(drawing: Figure, grid: GridSpec, strips: dict[str, list[int]], plan: Plan, trial: Trial | None) -> None:
+def _draw_curves(drawing: Figure, grid: GridSpec, strips: list[_Strip], plan: Plan, trial: Trial | None) -> None:
     colours = matplotlib.colormaps["tab10" if len(plan.joint_names) <= 10 else "tab20"].colors  # pyright: ignore[reportAttributeAccessIssue]
     top: Axes | None = None
-    for row, (unit, joints) in enumerate(strips.items()):
+    for row, strip in enumerate(strips):
         axes = drawing.add_subplot(grid[row, 0], sharex=top)
         top = top or axes
-        for joint in joints:
-            _draw_joint(axes, joint, unit, colours[joint % len(colours)], plan, trial)
+        for joint in strip.joints:
+            _draw_joint(axes, joint, strip.in_degrees, colours[joint % len(colours)], plan, trial)
         axes.axvline(plan.arrival_step / plan.rate_hz, color=ARRIVAL, linewidth=1.2, linestyle=":")
-        axes.set_ylabel("joint angle (°)" if unit == "deg" else "gripper", fontsize=10)
+        axes.set_ylabel(strip.label, fontsize=10)
         axes.grid(color="#e6eaee", linewidth=0.7)
         axes.margins(x=0.01)
         axes.tick_params(labelbottom=row == len(strips) - 1)
@@ -167,14 +184,15 @@ def _draw_curves(drawing: Figure, grid: GridSpec, strips: dict[str, list[int]], 
     _draw_legend(top, colours, plan, trial)
 
 
-def _draw_joint(axes: Axes, joint: int, unit: str, colour: object, plan: Plan, trial: Trial | None) -> None:
+def _draw_joint(axes: Axes, joint: int, in_degrees: bool, colour: object, plan: Plan, trial: Trial | None) -> None:
     """Planned up to arrival as a broad line, beyond it as a faint one; executed dashed on top."""
-    planned = _in_unit(plan.joints[:, joint], unit)
+    drawn = np.degrees if in_degrees else np.asarray
+    planned = drawn(plan.joints[:, joint])
     times, arrival = np.arange(len(planned)) / plan.rate_hz, plan.arrival_step
     axes.plot(times[: arrival + 1], planned[: arrival + 1], color=colour, linewidth=2.6, alpha=0.55)
     axes.plot(times[arrival:], planned[arrival:], color=colour, linewidth=1.2, alpha=0.25)
     if trial is not None:
-        executed = _in_unit(trial.joints[:, joint], unit)
+        executed = drawn(trial.joints[:, joint])
         axes.plot(np.arange(len(executed)) / plan.rate_hz, executed, color=colour, linewidth=1.3, linestyle=(0, (4, 2)))
 
 
@@ -187,10 +205,6 @@ def _draw_legend(axes: Axes, colours: tuple[object, ...], plan: Plan, trial: Tri
     handles += [Line2D([], [], color=colours[i % len(colours)], linewidth=2.6, label=name) for i, name in enumerate(names)]  # pyright: ignore[reportArgumentType]
     size, spacing = (9, 0.5) if len(names) <= 10 else (6, 0.2)
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.02), fontsize=size, labelspacing=spacing, frameon=False)
-
-
-def _in_unit(joints: Shaped[np.ndarray, " T"], unit: str) -> Shaped[np.ndarray, " T"]:
-    return np.degrees(joints) if unit == "deg" else joints
 
 
 def sheet(height_inches: float, layout: Literal["constrained"] | None = None) -> Figure:

@@ -15,6 +15,7 @@ from typing import Any
 from urllib.parse import quote
 
 from preimage.whole_file import whole_file
+from preimage.wording import number_of
 
 SUCCESS_MEANS = {
     "reach": "the hand ends within 4 cm of the goal position",
@@ -93,9 +94,9 @@ def document(title: str, body: str) -> str:
 
 def _facts(results: Mapping[str, Any]) -> str:
     """The line under the title: what was evaluated, as far as the results say."""
-    named = (("model", "model {}"), ("size", "size {}"), ("num_demonstrations", "{} demonstrations"), ("seed", "seed {}"))
+    known = {name: results[name] for name in ("model", "size", "num_demonstrations", "seed") if results.get(name) is not None}
     facts = [f"task {results['task']}"]
-    facts += [words.format(results[name]) for name, words in named if results.get(name) is not None]
+    facts += [number_of(told, "demonstration") if name == "num_demonstrations" else f"{name} {told}" for name, told in known.items()]
     if results.get("loop") in _LOOPS:
         facts.append(f"{results['loop']} loop: {_LOOPS[results['loop']]}")
     if results.get("seconds_per_plan") is not None:
