@@ -14,6 +14,7 @@ from conftest import make_demonstration
 from preimage import cli
 from preimage.cli import learning
 from preimage.dataset import describe
+from preimage.runs import BUNDLED, find_run
 
 QUICK = ["--iterations", "2", "--horizon", "4"]
 
@@ -50,6 +51,25 @@ def test_train_leaves_a_run_that_says_everything_about_itself(run_folder):
     assert (config["size"], config["num_demonstrations"], config["task"], config["train"]["updates"]) == ("tiny", 3, "reach", 2)
     assert [json.loads(line)["update"] for line in (run_folder / "log.jsonl").read_text().splitlines()] == [1, 2]
     assert "2 of 2" in (run_folder / "README.md").read_text()
+
+
+def test_one_demonstration_is_learned_and_planned_with_and_told_as_one(capsys, tmp_path):
+    preimage.save([make_demonstration()], tmp_path / "data", task="reach")
+    cli.main(["train", str(tmp_path / "data"), "--out", str(tmp_path / "run"), "--size", "tiny", "--updates", "1"])
+    told = capsys.readouterr().out
+    assert ": 1 episode, 6 steps at" in told
+    assert "trained on 1 demonstration;" in told
+    assert "trained on 1 demonstration\n" in (tmp_path / "run/README.md").read_text()
+    cli.main(["plan", str(tmp_path / "run"), "--goal", f"{tmp_path}/data:0", "--out", str(tmp_path / "plan"), *QUICK])
+    assert "arrives at step" in capsys.readouterr().out
+
+
+def test_texts_name_every_bundled_model(capsys, refused):
+    with pytest.raises(SystemExit):
+        cli.main(["demo", "--help"])
+    assert f"which of the bundled models: {' or '.join(BUNDLED)}" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert refused("demo", "--task", "juggle")[1] == f"there is no bundled model of juggle; there are {', '.join(BUNDLED)}"
+    assert {folder.name for folder in find_run(BUNDLED[0]).parent.iterdir()} == set(BUNDLED)
 
 
 def test_a_plan_to_an_episode_can_be_executed_and_judged(capsys, run_folder, data, tmp_path):

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import preimage
+from conftest import make_demonstration
 from preimage import cli, hub
 from preimage.runs import BUNDLED, find_run, read_body, read_view
 
@@ -131,6 +132,17 @@ def test_a_verb_takes_a_run_of_the_hub_and_fetches_it_once(fake_hub, capsys, run
     assert fake_hub.fetched == 1
 
 
+@pytest.mark.parametrize("against", [["--goals", "1"], ["--data"]])
+def test_evaluate_fetches_a_run_once(fake_hub, run_folder, tmp_path, against):
+    preimage.push_to_hub(run_folder, "lab/tiny")
+    if against == ["--data"]:
+        preimage.save([make_demonstration(seed) for seed in (7, 8)], tmp_path / "data", task="reach")
+        against = [*against, str(tmp_path / "data")]
+    cli.main(["evaluate", "hf:lab/tiny", *against, "--out", str(tmp_path / "result.json"), "--iterations", "1", "--horizon", "4"])
+    assert json.loads((tmp_path / "result.json").read_text())["model"] == "hf:lab/tiny"
+    assert fake_hub.fetched == 1
+
+
 @given(name=st.text(max_size=30))
 def test_no_other_name_leads_to_the_network(name):
     assert hub.is_there(name) == name.startswith("hf:")
@@ -169,17 +181,24 @@ def test_a_repository_that_holds_no_run(fake_hub):
         preimage.from_pretrained("hf:lab/words")
 
 
-@pytest.mark.parametrize("error", [errors.LocalEntryNotFoundError("no"), web_error(errors.HfHubHTTPError), ConnectionError("no")])
+NO_NETWORK = errors.LocalEntryNotFoundError("no"), web_error(errors.HfHubHTTPError), errors.HTTPError("no"), ConnectionError("no")
+
+
+@pytest.mark.parametrize("error", NO_NETWORK)
 def test_no_network(no_network, refused, tmp_path, error):
     no_network(error)
     code, sentence = refused("plan", "hf:lab/tiny", "--goal", "goal.png", "--out", tmp_path / "plan")
     assert (code, sentence) == (1, "hf:lab/tiny was not fetched before, and the Hugging Face Hub cannot be reached: try again later")
 
 
-def test_pushing_without_a_network_or_a_login(no_network, run_folder):
-    no_network(ConnectionError("no"))
+@pytest.mark.parametrize("error", [errors.HTTPError("no"), ConnectionError("no")])
+def test_pushing_without_a_network(no_network, run_folder, error):
+    no_network(error)
     with pytest.raises(ConnectionError, match="hf:lab/tiny cannot be written, for the Hugging Face Hub cannot be reached"):
         preimage.push_to_hub(run_folder, "lab/tiny")
+
+
+def test_pushing_without_a_login(no_network, run_folder):
     no_network(web_error(errors.HfHubHTTPError))
     with pytest.raises(ValueError, match=r"hf:lab/tiny cannot be written \(401 Client Error.\): log in by `hf auth login`"):
         preimage.push_to_hub(run_folder, "lab/tiny")

@@ -10,6 +10,7 @@ import pytest
 
 import preimage
 from preimage import cli
+from preimage.runs import BUNDLED
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -65,6 +66,12 @@ def test_commands_have_the_verbs_and_options_they_name(command):
 
 def test_the_table_lists_every_verb_once():
     assert re.findall(r"^\| `preimage (\w+)`", README, re.MULTILINE) == list(cli.VERBS)
+
+
+def test_every_bundled_model_is_named():
+    assert f"{' and '.join(f'`{name}`' for name in BUNDLED)} stand for the bundled models" in README
+    for name in BUNDLED[1:]:
+        assert f"`preimage demo --task {name}`" in README
 
 
 def test_make_has_the_targets_that_the_texts_name():

@@ -20,6 +20,7 @@ from huggingface_hub.errors import (
     GatedRepoError,
     HfHubHTTPError,
     HFValidationError,
+    HTTPError,
     LocalEntryNotFoundError,
     LocalTokenNotFoundError,
     RepositoryNotFoundError,
@@ -31,8 +32,8 @@ NEEDED = ("config.json", "model.safetensors", "shown.npz")
 CARD = "README.md"
 KEPT_THERE = (*NEEDED, CARD)
 """All that is sent and fetched."""
-BROKEN_OFF = HfHubHTTPError.__bases__[0], ConnectionError
-"""What a broken connection raises. Which HTTP library lies beneath changes with the version; what its errors have in common does not."""
+BROKEN_OFF = HTTPError, ConnectionError
+"""What a broken connection raises; the first is that of the HTTP library beneath, which is another one from version to version."""
 WELL_NAMED = f"give {PREFIX}OWNER/NAME, of letters, digits, -, _ and ."
 LOG_IN = "log in by `hf auth login`"
 
@@ -119,5 +120,5 @@ def card_there(card: str, name: str, license: str | None) -> str:
     """The model card as it reads on the Hub: with its licence, and with the name by which everybody can plan with the run."""
     told = ModelCard(card.replace("preimage plan RUN", f"preimage plan {name}"))
     if license:
-        told.data.license = license
+        told.data["license"] = license
     return str(told)
