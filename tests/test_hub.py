@@ -145,8 +145,8 @@ def test_evaluate_fetches_a_run_once(fake_hub, run_folder, tmp_path, against):
 
 @given(name=st.text(max_size=30))
 def test_no_other_name_leads_to_the_network(name):
-    assert hub.is_there(name) == name.startswith("hf:")
-    assert not hub.is_there(Path(name.replace("\0", "")))
+    assert hub.is_meant(name) == name.startswith("hf:")
+    assert not hub.is_meant(Path(name.replace("\0", "")))
 
 
 @pytest.mark.parametrize("name", ["reach", "lab/tiny", "hub:lab/tiny", Path("hf:lab/tiny")])

@@ -38,7 +38,7 @@ WELL_NAMED = f"give {PREFIX}OWNER/NAME, of letters, digits, -, _ and ."
 LOG_IN = "log in by `hf auth login`"
 
 
-def is_there(name: str | Path) -> bool:
+def is_meant(name: str | Path) -> bool:
     """Whether a name means the Hub; a `Path` never does."""
     return isinstance(name, str) and name.startswith(PREFIX)
 

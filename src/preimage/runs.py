@@ -45,7 +45,7 @@ def find_run(name: str | Path) -> Path:
         ValueError: there is none of them.
         ConnectionError: it is on the Hub, was never fetched, and the Hub cannot be reached.
     """
-    if isinstance(name, str) and hub.is_there(name):
+    if isinstance(name, str) and hub.is_meant(name):
         return hub.download(name)
     path = Path(name)
     if str(name) in BUNDLED and not path.exists():
@@ -201,7 +201,7 @@ def from_pretrained(name_or_folder: str | Path, *, revision: str | None = None) 
         ConnectionError: it is on the Hub, was never fetched, and the Hub cannot be reached.
     """
     if revision is not None:
-        if not hub.is_there(name_or_folder):
+        if not hub.is_meant(name_or_folder):
             raise ValueError(f"revision is {revision}, and {name_or_folder} is not on the Hugging Face Hub: give {hub.PREFIX}OWNER/NAME")
         name_or_folder = f"{name_or_folder}@{revision}"
     return load_model(name_or_folder)
