@@ -26,7 +26,8 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     path = Path(path)
     figures = path.parent / "figures"
     parts = [HEAD, reach_table(evaluations), tasks_table(evaluations), grasps_table(evaluations), recognition_table(found)]
-    parts += [pictures(found, figures, "map", intention_map, INTENTIONS), modalities_table(found), speed_table(found)]
+    parts += [pictures(found, figures, "map", intention_map, INTENTIONS), modalities_table(found)]
+    parts += [held_out_table(found), speed_table(found)]
     parts += [pictures(found, figures, "growth", lambda one, to: growth_chart(one["growth"], to), GROWTH), cells_table(evaluations)]
     with whole_file(path) as unfinished:
         unfinished.write_text("\n\n".join(part for part in parts if part) + "\n")
@@ -140,6 +141,20 @@ def modalities_table(found: Results) -> str:
         for given, row in one.get("modalities", {}).items()
     ]
     return table("The goal in one modality or both", ["goal given in", "reached", "mean", "grey levels off", "joints off (rad)"], rows)
+
+
+def held_out_table(found: Results) -> str:
+    """Plans beside recordings that were never trained on (`preimage evaluate --data`)."""
+    names = "joints_at_arrival", "joints_on_the_way", "frame_at_arrival"
+    rows = []
+    for one in found:
+        if one.get("kind") == "held-out":
+            for way, errors in {"imagined": one["imagined"], **one["baselines"]}.items():
+                spread = [f"{errors[name]['mean']:.3g} ({errors[name]['median']:.3g})" for name in names]
+                rows.append([one["data"]["name"], f"{len(one['episodes'])}", way.replace("_", " "), *spread])
+    head = ["recordings", "episodes", "way", "joints at arrival", "joints on the way", "frame at arrival"]
+    told = "Mean (median) difference from what was recorded, joints in the unit of the data, frames in squared grey levels. No robot moved."
+    return table("Recordings of real robots, held-out episodes", head, rows) + (f"\n\n{told}" if rows else "")
 
 
 def speed_table(found: Results) -> str:
