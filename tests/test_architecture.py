@@ -28,6 +28,7 @@ ORDER = [
     "limits",
     "prediction_error",
     "runs",
+    "processes",
     "training",
     "cloning",
     "regression",
