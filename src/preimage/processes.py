@@ -120,8 +120,13 @@ def gather(*, devices: int, num_nodes: int) -> Crew:
         raise ValueError("several processes need lightning-fabric: pip install 'preimage[many]'") from error
     logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
     accelerator = "cuda" if torch.cuda.device_count() >= devices else "cpu"
-    fabric = Fabric(accelerator=accelerator, devices=devices, num_nodes=num_nodes, strategy="ddp")
-    fabric.launch()
+    try:
+        fabric = Fabric(accelerator=accelerator, devices=devices, num_nodes=num_nodes, strategy="ddp")
+        fabric.launch()
+    except ValueError as error:
+        reason = " ".join(str(error).split()).rstrip(".")
+        text = f"other processes were started than --devices {devices} and --num-nodes {num_nodes} say ({reason}): give both as they are"
+        raise ValueError(text) from error
     atexit.register(distributed.destroy_process_group)  # or its threads abort a process that ends while they run
     return Crew(fabric.global_rank, fabric.world_size, fabric.device)
 
