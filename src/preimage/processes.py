@@ -95,7 +95,7 @@ def lost_is_told() -> Iterator[None]:
         yield
     except RuntimeError as error:  # all that torch raises where the other side of a connection is gone
         text = "another process of this training has stopped: what it says tells why; --resume goes on"
-        raise ProcessLost(text) from error.with_traceback(None)  # its frames would keep the connection open until the very end
+        raise ProcessLost(text) from error.with_traceback(None)  # whose frames may hold the connection past its end
 
 
 def gather(*, devices: int, num_nodes: int) -> Crew:
