@@ -30,6 +30,7 @@ ORDER = [
     "prediction_error",
     "hub",
     "runs",
+    "processes",
     "training",
     "cloning",
     "regression",

@@ -4,7 +4,7 @@ Every update draws a few demonstrations, generates each from its own intention i
 modalities by Adam. Some of them are generated from a later step on, drawn anew each time: what is wanted stays the same wherever the
 robot stands, so that the intention learns to hold where the way leads and leaves to the percept where it starts. What an update draws
 depends on the seed and its number alone, so that a training that was stopped and resumed gives
-the same weights, bit for bit on a CPU, as one that never stopped.
+the same weights, bit for bit on a CPU, as one that never stopped, and several processes those of one, to rounding (docs/many_machines.md).
 """
 
 import contextlib
@@ -27,6 +27,7 @@ from preimage.intention import IntentionState, IntentionTable
 from preimage.memory import keep_freed_memory
 from preimage.model import PDVMRNN, ModelConfig
 from preimage.prediction_error import SequenceError, sequence_error
+from preimage.processes import Crew
 from preimage.records import Demonstration
 from preimage.runs import write_config, write_shown, write_weights
 from preimage.sequences import Sequences, pad, sensors_of
@@ -109,6 +110,7 @@ def train(
     resume: bool = False,
     about: dict[str, Any] | None = None,
     progress: Callable[[Progress], None] | None = None,
+    crew: Crew = Crew(),  # noqa: B008, frozen
 ) -> PDVMRNN:
     """Learn weights and intentions that regenerate the demonstrations.
 
@@ -118,33 +120,41 @@ def train(
         resume: go on from the folder's last checkpoint.
         about: more to write into the run's config.json.
         progress: called after every update.
+        crew: the processes that train together, of which only the first writes and tells.
 
     Returns:
         the trained network, its weights frozen.
 
     Raises:
-        ValueError: the demonstrations do not fit together, the folder holds a run already or none to resume.
+        ValueError: the demonstrations do not fit together or are too few for the crew, the folder holds a run already or none to resume.
         NonFinite: an error or a gradient is no longer finite.
+        ProcessLost: another process of the crew is no longer there.
         KeyboardInterrupt: the training was interrupted; the last update is saved.
     """
     model_config, config = model_config or ModelConfig.small(), config or TrainConfig()
     model_config = replace(model_config, rate_hz=min([model_config.rate_hz, *(one.rate_hz for one in demonstrations)]))
     sequences = pad(demonstrations, rate_hz=model_config.rate_hz, rest_steps=config.rest_steps)
     model = PDVMRNN(model_config, sensors_of(demonstrations), len(sequences), config.seed)
+    crew.refuse_fewer(min(config.batch_size, len(sequences)))
     start_from(model, sequences)
-    learner = Learner(model, optimiser_of(model, config))
+    learner = Learner(model.to(crew.device), optimiser_of(model, config))
     keep_freed_memory()
-    run = open_run(Path(folder), learner, config, about or {}, resume) if folder is not None else None
+    run = open_run(Path(folder), learner, config, about or {}, resume) if folder is not None and crew.first else None
     if run and not resume:
         write_shown(run, demonstrations)
+    if crew.size > 1:  # a checkpoint may lie where the others cannot see it, and another machine may round otherwise
+        learner.load(crew.of_first(learner.state()))
     with saved_on_interrupt() as interrupted:
-        while learner.update < config.updates and not interrupted():
-            told = one_update(learner, sequences, config, run)
-            if progress:
+        stop = False
+        while learner.update < config.updates and not stop:
+            told = one_update(learner, sequences, config, run, crew)
+            if progress and crew.first:
                 progress(told)
-            if run and (learner.update % config.checkpoint_every == 0 or learner.update == config.updates or interrupted()):
+            stop = crew.any(interrupted())
+            if run and (learner.update % config.checkpoint_every == 0 or learner.update == config.updates or stop):
                 save(run, learner)
-    if interrupted():
+        crew.any(stop)  # all wait until the last checkpoint is written
+    if stop:
         raise KeyboardInterrupt
     return model.requires_grad_(False).eval()
 
@@ -205,18 +215,22 @@ def shuffled(count: int, seed: int, epoch: int) -> Tensor:
     return torch.randperm(count, generator=torch.Generator().manual_seed(seed * 1_000_003 + epoch))
 
 
-def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run: Path | None) -> Progress:
-    """One step of Adam on one batch."""
+def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run: Path | None, crew: Crew) -> Progress:
+    """One step of Adam on one batch, of which this process generates its share."""
     began = time.perf_counter()
     model, optimiser = learner.model, learner.optimiser
     rows = batch_of(learner.update, len(sequences), config)
     generator = torch.Generator().manual_seed(config.seed * 1_000_003 + learner.update)
     intention, charge = model.intention_table.draw(rows, generator)
-    error = error_of(model, intention, sequences.begun_at(rows, begin_steps(sequences.lengths[rows], config, generator)), config)
+    steps = begin_steps(sequences.lengths[rows], config, generator)
+    mine = crew.share(len(rows))
+    error = error_of(model, intention[mine], sequences.begun_at(rows[mine], steps[mine]), config)
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
-    (error.total + model.config.intention_cost * charge).mean().backward()
+    ((error.total + model.config.intention_cost * charge[mine]).sum() / len(rows)).backward()
+    crew.add_gradients(model.parameters())
+    error = error_of_all(error, mine, len(rows), crew)
     norm = nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], config.gradient_norm)
     refuse_non_finite(learner, error, charge, norm, run)
     optimiser.step()
@@ -237,10 +251,17 @@ def begin_steps(lengths: Int[Tensor, " B"], config: TrainConfig, generator: torc
 
 def error_of(model: PDVMRNN, intention: IntentionState, sequences: Sequences, config: TrainConfig) -> SequenceError:
     """Generate the sequences from their intentions and compare."""
-    pixels, codes = to_pixels(sequences.frames), model.coding.encode(sequences.joints)
+    device = model.pixel_bias.device
+    pixels, codes = to_pixels(sequences.frames.to(device)), model.coding.encode(sequences.joints.to(device))
     dtype = getattr(torch, config.precision)
     generated = model.generate_open_loop(intention, (pixels, codes), share=config.open_loop_share, dtype=dtype)
-    return sequence_error(generated, pixels, codes, sequences.mask)
+    return sequence_error(generated, pixels, codes, sequences.mask.to(device))
+
+
+def error_of_all(error: SequenceError, mine: Int[Tensor, " S"], count: int, crew: Crew) -> SequenceError:
+    """The errors of all sequences of an update, of which this process knows its own."""
+    own = torch.stack([error.visual, error.proprioceptive]).detach()
+    return SequenceError(*crew.add(own.new_zeros(2, count).index_copy_(1, mine.to(own.device), own)))
 
 
 def refuse_non_finite(learner: Learner, error: SequenceError, charge: Tensor, norm: Tensor, run: Path | None) -> None:
@@ -301,7 +322,7 @@ def resume_from(checkpoint: Path, learner: Learner) -> None:
     if not checkpoint.is_file():
         raise ValueError(f"{checkpoint.parent} has no checkpoint to resume (resume.pt): train without --resume")
     try:
-        learner.load(torch.load(checkpoint, weights_only=True))
+        learner.load(torch.load(checkpoint, map_location="cpu", weights_only=True))
     except Exception as error:  # torch raises a dozen types for a damaged file
         reason = str(error).strip().splitlines()[0]
         raise ValueError(f"{checkpoint} does not fit this training or is broken ({reason}): give the same data and sizes") from error

@@ -8,6 +8,7 @@ import tyro
 from preimage.cli.acting import demo, execute_, plan_
 from preimage.cli.learning import check, record_, train_
 from preimage.cli.measuring import bench_, evaluate_, report_, reproduce_
+from preimage.processes import ProcessLost, speaks
 from preimage.training import NonFinite
 
 VERBS: dict[str, Callable[..., None]] = {
@@ -31,7 +32,7 @@ def main(arguments: list[str] | None = None) -> None:
         tyro.extras.subcommand_cli_from_dict(VERBS, prog="preimage", description=description, args=arguments)
     except ValueError as error:
         fail(str(error), code=2)
-    except NonFinite as error:
+    except (NonFinite, ProcessLost) as error:
         fail(str(error), code=1)
     except FileExistsError as error:
         fail(f"{error.filename} is there already and is no folder: give another place", code=1)
@@ -42,5 +43,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def fail(sentence: str, *, code: int) -> None:
-    print(f"preimage: {sentence}", file=sys.stderr)
+    if speaks():
+        print(f"preimage: {sentence}", file=sys.stderr)
     raise SystemExit(code)

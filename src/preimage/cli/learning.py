@@ -14,6 +14,7 @@ from preimage.experiments import SIZES
 from preimage.held_out import every_nth
 from preimage.model import ModelConfig
 from preimage.options import refuse_out_of_range
+from preimage.processes import gather
 from preimage.provenance import provenance
 from preimage.report import examined_page, learning_curve
 from preimage.robot import TASKS, Arm, record
@@ -69,6 +70,8 @@ def train_(
     out: Path,
     size: Literal["tiny", "small", "paper"] = "small",
     resume: bool = False,
+    devices: int = 1,
+    num_nodes: int = 1,
     hold_out: int = 0,
     rate_hz: float | None = None,
     intention_dimensions: int | None = None,
@@ -84,6 +87,8 @@ def train_(
         out: run folder to write.
         size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
         resume: go on with the run in `out`, with the sizes, settings and held-out episodes it was started with.
+        devices: processes on this machine that share every update, each on a GPU of its own where there are as many.
+        num_nodes: machines with as many processes each, started by torchrun or Slurm.
         hold_out: every Nth episode is not trained on but kept for `preimage evaluate --data`; 0 trains on all.
         rate_hz: steps a second that the model runs at, instead of the size's own.
         intention_dimensions: numbers that make an intention, instead of the size's own.
@@ -110,7 +115,8 @@ def train_(
     demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
     about = {"size": size, "num_demonstrations": len(demonstrations), "data": learned_from}
     about |= {"view": asdict(opened.view), "body": asdict(opened.body), "task": task_of(demonstrations), "provenance": provenance()}
-    with bar() as progress:
+    crew = gather(devices=devices, num_nodes=num_nodes)
+    with bar(shown=crew.first) as progress:
         shown = progress.add_task("training", total=config.updates)
 
         def tell(told: Told) -> None:
@@ -119,7 +125,9 @@ def train_(
             errors = f"training  vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}"
             progress.update(shown, completed=told.update, description=errors)
 
-        train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell)
+        train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell, crew=crew)
+    if not crew.first:
+        return
     learning_curve(out / "log.jsonl", out / "learning_curve.png")
     write_card(out)
     left_out = f", {len(held_out)} held out" if held_out else ""

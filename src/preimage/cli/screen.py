@@ -8,10 +8,10 @@ from preimage.robot import TASKS
 console = Console(stderr=True)
 
 
-def bar() -> Progress:
+def bar(*, shown: bool = True) -> Progress:
     """A progress bar with the time left; in a log, where it could not move, there is none."""
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-    return Progress(*columns, console=console, disable=not console.is_terminal)
+    return Progress(*columns, console=console, disable=not (shown and console.is_terminal))
 
 
 def known_task(task: str) -> None:

@@ -1,0 +1,53 @@
+"""What the policy is told."""
+
+from dataclasses import dataclass
+
+from lerobot.configs import PreTrainedConfig
+
+
+@PreTrainedConfig.register_subclass("preimage")
+@dataclass
+class PreimageConfig(PreTrainedConfig):
+    """A trained run, a goal, and how they are used."""
+
+    run: str = ""
+    """Run folder of `preimage train`, or the name of a bundled model."""
+    goal: str = ""
+    """Image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set; without one the observation has to hold `goal_key`."""
+    goal_key: str = "observation.images.goal"
+    """Key of the goal image in the observation."""
+    camera: str = ""
+    """Key of the camera in the observation; needed only where there are several."""
+    fps: float = 30.0
+    """Calls of `select_action` a second."""
+    iterations: int | None = None
+    """Iterations of the error regression; by default as many as `preimage plan` makes."""
+    doubt: float = 0.15
+    """Share of what there is to explain above which a plan's error asks for another search."""
+    save_predicted_video: bool = False
+    """Whether `lerobot-eval` writes what was imagined."""
+
+    def validate_features(self) -> None:
+        """Raises ValueError where nothing could be planned."""
+        if not self.run:
+            raise ValueError("the policy has no run: give --policy.run, a folder that `preimage train` wrote or a bundled name")
+        if not self.fps > 0:
+            raise ValueError(f"--policy.fps is {self.fps}: give the calls of select_action a second, a number above 0")
+
+    def get_optimizer_preset(self) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return None
+
+    def get_scheduler_preset(self) -> None:
+        return None
+
+    @property
+    def observation_delta_indices(self) -> None:
+        return None
+
+    @property
+    def action_delta_indices(self) -> None:
+        return None
+
+    @property
+    def reward_delta_indices(self) -> None:
+        return None
