@@ -33,6 +33,7 @@ with install_import_hook([f"preimage.{room}" for room in ROOMS - LEFT_OUT], "con
     from preimage.cli import main
     from preimage.records import Demonstration, Scene
     from preimage.robot import Arm, Reach
+    from recordings import noises
 
 ARM_JOINTS = Arm().joint_names
 
@@ -68,6 +69,19 @@ def data(demonstrations, tmp_path_factory):
     folder = tmp_path_factory.mktemp("data") / "three"
     preimage.save(demonstrations, folder, task="reach", joint_unit="rad")
     return folder
+
+
+@pytest.fixture
+def noisy() -> list[Demonstration]:
+    """Three recordings of noise, which no reader could guess."""
+    return noises()
+
+
+@pytest.fixture
+def folder(noisy, tmp_path) -> Path:
+    """They as a data set, for damage to be done to."""
+    preimage.save(noisy, tmp_path / "data", task="reach the mark", joint_unit="rad")
+    return tmp_path / "data"
 
 
 @pytest.fixture(scope="session")

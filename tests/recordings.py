@@ -12,7 +12,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
-from preimage.dataset import save
 from preimage.records import Demonstration, Scene
 
 DATA, INDEX, INFO = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/info.json"
@@ -57,11 +56,8 @@ def png(size=(8, 6), mode="RGB") -> bytes:
     return file.getvalue()
 
 
-def save_noise(folder: Path) -> list[Demonstration]:
-    """Three episodes of noise in a data set of our own, for damage to be done to."""
-    demonstrations = [noise(seed=seed, num_steps=3 + seed, scene=SCENE) for seed in range(3)]
-    save(demonstrations, folder, task="reach the mark", joint_unit="rad")
-    return demonstrations
+def noises() -> list[Demonstration]:
+    return [noise(seed=seed, num_steps=3 + seed, scene=SCENE) for seed in range(3)]
 
 
 # Folders as others write them: each shade of grey is an episode and a step, and survives a lossy video

@@ -57,7 +57,7 @@ def test_record_of_nothing(capsys, tmp_path, count, seed):
 def test_missing_data_set(refused, tmp_path):
     code, sentence = refused("train", tmp_path / "nowhere", "--out", tmp_path / "run")
     assert code == 2
-    assert sentence == f"{tmp_path}/nowhere is not a folder: name one that holds a LeRobot data set"
+    assert sentence == f"{tmp_path}/nowhere is not a folder: name that of a data set"
     assert not (tmp_path / "run").exists()
 
 

@@ -23,24 +23,11 @@ from recordings import (
     edit_rows,
     joints_of,
     noise,
-    save_noise,
     shade,
     shades,
     write_v21,
     write_video,
 )
-
-
-@pytest.fixture
-def folder(tmp_path) -> Path:
-    save_noise(tmp_path / "data")
-    return tmp_path / "data"
-
-
-@pytest.fixture
-def demonstrations(folder) -> list[Demonstration]:
-    return [noise(seed=seed, num_steps=3 + seed, scene=SCENE) for seed in range(3)]
-
 
 numbers = itertools.count()
 
@@ -88,21 +75,21 @@ def test_colour_stays_colour_where_one_pixel_of_one_episode_has_it(tmp_path):
     assert load(tmp_path / "grey")[0].frames.shape == (2, 4, 4, 1)
 
 
-def test_fingerprint_names_frames_joints_and_rate(demonstrations):
-    first = demonstrations[0]
+def test_fingerprint_names_frames_joints_and_rate(noisy):
+    first = noisy[0]
     frames, joints = first.frames.copy(), first.joints.copy()
     frames[0, 0, 0, 0] ^= 1
     joints[-1, -1] += 1e-3
     others = [
-        demonstrations[1:],
-        demonstrations[::-1],
-        [Demonstration(frames, first.joints, first.rate_hz, first.joint_names), *demonstrations[1:]],
-        [Demonstration(first.frames, joints, first.rate_hz, first.joint_names), *demonstrations[1:]],
-        [Demonstration(first.frames, first.joints, 5.0, first.joint_names), *demonstrations[1:]],
+        noisy[1:],
+        noisy[::-1],
+        [Demonstration(frames, first.joints, first.rate_hz, first.joint_names), *noisy[1:]],
+        [Demonstration(first.frames, joints, first.rate_hz, first.joint_names), *noisy[1:]],
+        [Demonstration(first.frames, first.joints, 5.0, first.joint_names), *noisy[1:]],
     ]
-    names = {fingerprint(each) for each in [demonstrations, *others]}
+    names = {fingerprint(each) for each in [noisy, *others]}
     assert len(names) == 1 + len(others)
-    assert fingerprint(list(demonstrations)) in names
+    assert fingerprint(list(noisy)) in names
 
 
 # What the view leaves open
@@ -198,7 +185,7 @@ def test_the_patient_reader_hands_out_what_there_is(tmp_path):
 
 
 def test_the_patient_reader_hands_out_all_joints_times_and_the_task(foreign):
-    for episode in read_episodes(foreign, view=View(joints=("pan",))):
+    for episode in read_episodes(foreign):
         assert episode.joint_names == ("pan", "frozen", "lift")
         assert (len(episode.joints), episode.rate_hz, episode.faults) == (episode.declared_length, 10.0, ())
         if episode.task is not None:  # a plain folder knows neither
@@ -206,11 +193,18 @@ def test_the_patient_reader_hands_out_all_joints_times_and_the_task(foreign):
             np.testing.assert_allclose(episode.timestamps_s, np.arange(len(episode.joints)) / 10, atol=1e-6)
 
 
-def test_a_frame_that_cannot_be_decoded_is_left_out_and_told(tmp_path):
-    saved = save_noise(tmp_path / "data")
-    edit_rows(tmp_path / "data" / DATA, lambda rows: rows[4].update({CAMERA: {"bytes": b"", "path": None}}))
-    episode = list(read_episodes(tmp_path / "data"))[1]
-    np.testing.assert_array_equal(episode.frames[..., :1], saved[1].frames[[0, 2, 3]])
+def test_joints_that_are_named_are_those_of_every_episode(foreign):
+    for whole, episode in zip(read_episodes(foreign), read_episodes(foreign, view=View(joints=("lift", "pan"))), strict=True):
+        assert episode.joint_names == ("lift", "pan")
+        np.testing.assert_array_equal(episode.joints, whole.joints[:, [2, 0]])
+    with pytest.raises(ValueError, match="has no joint wrist: it has pan, frozen, lift"):
+        next(iter(read_episodes(foreign, view=View(joints=("wrist",)))))
+
+
+def test_a_frame_that_cannot_be_decoded_is_left_out_and_told(folder, noisy):
+    edit_rows(folder / DATA, lambda rows: rows[4].update({CAMERA: {"bytes": b"", "path": None}}))
+    episode = list(read_episodes(folder))[1]
+    np.testing.assert_array_equal(episode.frames[..., :1], noisy[1].frames[[0, 2, 3]])
     assert len(episode.faults) == 1
     assert "step 1 has a frame that cannot be decoded" in episode.faults[0]
 

@@ -12,6 +12,7 @@ from preimage.examination import Examination, Kind, Severity, examine
 from preimage.examination.viewpoint import find_shift
 from preimage.records import Episode
 from preimage.report import examined_page
+from recordings import CAMERA, write_v21
 
 NUM_EPISODES, RATE_HZ, NAMES = 20, 10.0, ("yaw", "shoulder", "gripper")
 SIZE = 48, 64
@@ -269,6 +270,17 @@ def test_a_page_without_any_frame_is_a_page(tmp_path):
     examination = examine(empty(healthy()))
     assert not examination.trainable
     assert "src=" not in examined_page(examination, tmp_path / "check.html", title="empty").read_text()
+
+
+@pytest.mark.parametrize("damaged", [(0,), (0, 1)])
+def test_videos_that_cannot_be_read_are_told_even_where_the_first_is_one(damaged, tmp_path, capsys):
+    folder = write_v21(tmp_path / "data")
+    for number in damaged:
+        (folder / f"videos/chunk-000/{CAMERA}/episode_{number:06d}.mp4").write_bytes(b"cut short")
+    with pytest.raises(SystemExit):
+        main(["check", str(folder), "--out", str(tmp_path / "check.html")])
+    *_, verdict = capsys.readouterr().out.splitlines()
+    assert verdict.startswith("Mend first: unreadable parts, unusual duration.")
 
 
 def test_the_verb_prints_a_finding_a_line_and_the_verdict_last(data, tmp_path, capsys):

@@ -12,7 +12,7 @@ import preimage
 from conftest import make_demonstration
 from preimage import cli
 from preimage.dataset import fingerprint
-from preimage.held_out import _errors, _Way, _way_of, compare, every_nth, lines_of, moments, never_shown, result_of_comparison, write_films
+from preimage.held_out import Way, compare, errors_of, every_nth, lines_of, moments, never_shown, result_of_comparison, way_of, write_films
 from preimage.planning import PlanConfig
 from preimage.records import Percept, Plan, Shown, Stopped
 from preimage.report.results import evaluations_among
@@ -34,7 +34,7 @@ def test_every_nth_is_held_out_and_the_others_are_not(counts):
 
 @pytest.mark.parametrize("nth", [1, -2, 4])
 def test_nothing_to_train_on_or_to_hold_out_is_told(nth):
-    with pytest.raises(ValueError, match=rf"hold-out is {nth} with 3 episodes: give 2 to 3, or 0"):
+    with pytest.raises(ValueError, match=rf"hold-out is {nth} with 3 episodes: give 2 to as many as there are, or 0"):
         every_nth(3, nth)
 
 
@@ -55,21 +55,21 @@ def test_a_way_has_no_error_to_itself_whatever_its_pace():
     """The same straight way in twice the time, frames aside."""
     slow = make_demonstration(num_steps=9)
     fast = replace(slow, frames=slow.frames[::2], joints=slow.joints[::2])
-    same = _errors(slow, _Way(slow.joints, slow.frames[-1], slow.frames))
+    same = errors_of(slow, Way(slow.joints, slow.frames[-1], slow.frames))
     assert set(asdict(same).values()) == {0.0}
-    paced = _errors(slow, _Way(fast.joints, fast.frames[-1]))
+    paced = errors_of(slow, Way(fast.joints, fast.frames[-1]))
     assert (paced.joints_at_arrival, paced.frame_at_arrival, paced.frames_on_the_way) == (0, 0, None)
     assert paced.joints_on_the_way == pytest.approx(0, abs=1e-12)
 
 
 def test_errors_by_hand():
     recorded = make_demonstration(num_joints=2, num_steps=3, size=(16, 16, 1))
-    off = _errors(recorded, _Way(recorded.joints + np.array([3.0, -4.0]), recorded.frames[-1], recorded.frames))
+    off = errors_of(recorded, Way(recorded.joints + np.array([3.0, -4.0]), recorded.frames[-1], recorded.frames))
     assert off.joints_at_arrival == pytest.approx(3.5)
     assert off.joints_at_arrival_rms == pytest.approx(np.sqrt(12.5))
     assert (off.joints_on_the_way, off.joints_on_the_way_rms) == (pytest.approx(3.5), pytest.approx(np.sqrt(12.5)))
     darker = recorded.frames - np.uint8(10)
-    assert _errors(recorded, _Way(recorded.joints, darker[-1], darker)).frame_at_arrival == pytest.approx(100)
+    assert errors_of(recorded, Way(recorded.joints, darker[-1], darker)).frame_at_arrival == pytest.approx(100)
 
 
 def test_what_a_plan_imagines_after_its_arrival_is_not_looked_at():
@@ -79,7 +79,7 @@ def test_what_a_plan_imagines_after_its_arrival_is_not_looked_at():
     start, goal = recorded.first, Percept(recorded.last.frame)
     known = {"error": 0.0, "errors": np.zeros(1), "stopped": Stopped.CONVERGED, "seconds": 0.0, "intention": np.zeros(1)}
     plan = Plan(frames, joints, 5, 10.0, recorded.joint_names, start, goal, **known)
-    assert set(asdict(_errors(recorded, _way_of(plan))).values()) == {0.0}
+    assert set(asdict(errors_of(recorded, way_of(plan))).values()) == {0.0}
 
 
 @pytest.fixture(scope="module")

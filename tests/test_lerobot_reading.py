@@ -8,37 +8,22 @@ import pyarrow.parquet as pq
 import pytest
 
 from preimage.dataset import describe, load, save
-from preimage.records import Demonstration
 from preimage.view import View
 from recordings import (
     CAMERA,
     DATA,
     INDEX,
     INFO,
-    SCENE,
     WRIST,
     assert_equal,
     change_info,
     drop_column,
     edit_json,
     edit_rows,
-    noise,
     png,
     remove,
-    save_noise,
     write,
 )
-
-
-@pytest.fixture
-def folder(tmp_path) -> Path:
-    save_noise(tmp_path / "data")
-    return tmp_path / "data"
-
-
-@pytest.fixture
-def demonstrations(folder) -> list[Demonstration]:
-    return [noise(seed=seed, num_steps=3 + seed, scene=SCENE) for seed in range(3)]
 
 
 def split_in_two(folder: Path) -> None:
@@ -55,9 +40,9 @@ def split_in_two(folder: Path) -> None:
     pq.write_table(index.slice(0, 2), folder / INDEX)
 
 
-def test_several_files_and_chunks_are_one_set(folder, demonstrations):
+def test_several_files_and_chunks_are_one_set(folder, noisy):
     split_in_two(folder)
-    assert_equal(load(folder), demonstrations)
+    assert_equal(load(folder), noisy)
 
 
 def test_without_our_extra_file_there_are_no_scenes(folder):
@@ -79,9 +64,9 @@ def add_camera(folder: Path) -> None:
     edit_json(folder / "meta/info.json", lambda info: info["features"].update({WRIST: info["features"][CAMERA]}))
 
 
-def test_the_camera_can_be_chosen(folder, demonstrations):
+def test_the_camera_can_be_chosen(folder, noisy):
     add_camera(folder)
-    assert_equal(load(folder, view=View(camera=CAMERA)), demonstrations)
+    assert_equal(load(folder, view=View(camera=CAMERA)), noisy)
     assert load(folder, view=View(camera=WRIST))[0].frames.shape == (3, 12, 16, 1)
 
 
@@ -148,6 +133,8 @@ DAMAGES = [
     ),
     (change_info(fps=0), "{0}/meta/info.json has fps 0: it should be the number of steps a second"),
     (change_info(fps="ten"), "{0}/meta/info.json has fps 'ten': it should be the number of steps a second"),
+    (change_info(fps=float("inf")), "{0}/meta/info.json has fps inf: it should be the number of steps a second"),
+    (change_info(chunks_size=0), "{0}/meta/info.json has chunks_size 0: it should be the number of episodes a folder"),
     (
         change_info(features=None),
         "{0}/meta/info.json has no usable features: they should describe each column by its dtype, shape and names",
@@ -171,6 +158,10 @@ DAMAGES = [
     (drop_row(INDEX, 1), "{0} lists 2 episodes, meta/info.json counts 3 from 0: copy the data set again"),
     (truncate(INDEX), f"{{0}}/{INDEX} cannot be read as parquet: the file is damaged or incomplete, copy the data set again"),
     (drop_column(INDEX, "length"), f"{{0}}/{INDEX} has no column length: a LeRobot data set needs it"),
+    (
+        lambda folder: edit_rows(folder / INDEX, lambda rows: rows[1].update(length=None)),
+        "{0}/meta/episodes does not tell length of every episode: the index is damaged, copy the data set again",
+    ),
     (remove(DATA), f"{{0}}/{DATA} is missing: copy the data set again"),
     (truncate(DATA), f"{{0}}/{DATA} cannot be read as parquet: the file is damaged or incomplete, copy the data set again"),
     (write(DATA, b""), f"{{0}}/{DATA} cannot be read as parquet: the file is damaged or incomplete, copy the data set again"),
@@ -219,7 +210,7 @@ def test_damage_is_told_in_one_sentence(folder, damage, sentence):
 
 
 def test_missing_folder_is_told(tmp_path):
-    with pytest.raises(ValueError, match="nowhere is not a folder: name one that holds a LeRobot data set"):
+    with pytest.raises(ValueError, match="nowhere is not a folder: name that of a data set"):
         load(tmp_path / "nowhere")
 
 

@@ -11,28 +11,14 @@ import pytest
 from PIL import Image
 
 from preimage.dataset import load, save
-from preimage.records import Demonstration
 from recordings import (
     CAMERA,
     DATA,
     INDEX,
     INFO,
-    SCENE,
     assert_equal,
     noise,
-    save_noise,
 )
-
-
-@pytest.fixture
-def folder(tmp_path) -> Path:
-    save_noise(tmp_path / "data")
-    return tmp_path / "data"
-
-
-@pytest.fixture
-def demonstrations(folder) -> list[Demonstration]:
-    return [noise(seed=seed, num_steps=3 + seed, scene=SCENE) for seed in range(3)]
 
 
 def test_info_agrees_with_lerobot(folder):
@@ -92,10 +78,10 @@ def test_a_single_joint_is_a_number_not_a_list_of_one(tmp_path):
     assert pq.read_schema(tmp_path / "data" / DATA).field("observation.state").type == pa.float32()
 
 
-def test_rows_count_steps_and_the_action_is_the_next_step(folder, demonstrations):
+def test_rows_count_steps_and_the_action_is_the_next_step(folder, noisy):
     table = pq.read_table(folder / DATA)
     state, action = (np.array(table[name].to_pylist()) for name in ("observation.state", "action"))
-    joints = demonstrations[1].joints  # rows 3 to 6, after the 3 steps of episode 0
+    joints = noisy[1].joints  # rows 3 to 6, after the 3 steps of episode 0
     np.testing.assert_array_equal(state[3:7], joints)
     np.testing.assert_array_equal(action[3:7], joints[[1, 2, 3, 3]])
     assert table["index"].to_pylist() == list(range(12))
@@ -105,11 +91,11 @@ def test_rows_count_steps_and_the_action_is_the_next_step(folder, demonstrations
     assert set(table["task_index"].to_pylist()) == {0}
 
 
-def test_frames_are_png_of_three_channels(folder, demonstrations):
+def test_frames_are_png_of_three_channels(folder, noisy):
     picture = pq.read_table(folder / DATA)[CAMERA][0].as_py()
     image = Image.open(io.BytesIO(picture["bytes"]))
     assert (image.format, image.mode, picture["path"]) == ("PNG", "RGB", "frame-000000.png")
-    np.testing.assert_array_equal(np.asarray(image), np.repeat(demonstrations[0].frames[0], 3, axis=-1))
+    np.testing.assert_array_equal(np.asarray(image), np.repeat(noisy[0].frames[0], 3, axis=-1))
 
 
 def test_tasks_have_the_words_as_pandas_index(folder):
@@ -136,10 +122,10 @@ def test_the_index_says_where_each_episode_lies(folder):
     }
 
 
-def test_statistics_are_those_numpy_finds(folder, demonstrations):
+def test_statistics_are_those_numpy_finds(folder, noisy):
     statistics = json.loads((folder / "meta/stats.json").read_text())
-    pixels = np.concatenate([each.frames for each in demonstrations]).reshape(-1) / 255
-    joints = np.concatenate([each.joints for each in demonstrations])
+    pixels = np.concatenate([each.frames for each in noisy]).reshape(-1) / 255
+    joints = np.concatenate([each.joints for each in noisy])
     assert set(statistics) == set(json.loads((folder / "meta/info.json").read_text())["features"])
     for name, values, method in ((CAMERA, pixels, "inverted_cdf"), ("observation.state", joints, "linear")):
         found = statistics[name]
@@ -153,10 +139,10 @@ def test_statistics_are_those_numpy_finds(folder, demonstrations):
             np.testing.assert_allclose(found[which], wanted, rtol=1e-12)
 
 
-def test_every_episode_has_its_own_statistics(folder, demonstrations):
+def test_every_episode_has_its_own_statistics(folder, noisy):
     row = pq.read_table(folder / INDEX).to_pylist()[2]
-    np.testing.assert_allclose(row["stats/observation.state/mean"], demonstrations[2].joints.mean(0))
-    np.testing.assert_allclose(row[f"stats/{CAMERA}/max"], np.full((3, 1, 1), demonstrations[2].frames.max() / 255))
+    np.testing.assert_allclose(row["stats/observation.state/mean"], noisy[2].joints.mean(0))
+    np.testing.assert_allclose(row[f"stats/{CAMERA}/max"], np.full((3, 1, 1), noisy[2].frames.max() / 255))
     assert row[f"stats/{CAMERA}/count"] == [5]
 
 
@@ -195,30 +181,30 @@ def contents(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_save_refuses_a_folder_with_something_in_it(folder, demonstrations):
+def test_save_refuses_a_folder_with_something_in_it(folder, noisy):
     before = contents(folder.parent)
     with pytest.raises(ValueError, match="data is there already: give a new folder or an empty one"):
-        save(demonstrations, folder, task="t")
+        save(noisy, folder, task="t")
     with pytest.raises(ValueError, match=r"info\.json is there already"):
-        save(demonstrations, folder / INFO, task="t")
+        save(noisy, folder / INFO, task="t")
     assert contents(folder.parent) == before
 
 
-def test_save_takes_an_empty_folder_and_makes_parents(demonstrations, tmp_path):
+def test_save_takes_an_empty_folder_and_makes_parents(noisy, tmp_path):
     (tmp_path / "empty").mkdir()
     for name in ("empty", "new/deeper"):
-        save(demonstrations, tmp_path / name, task="t")
-        assert_equal(load(tmp_path / name), demonstrations)
+        save(noisy, tmp_path / name, task="t")
+        assert_equal(load(tmp_path / name), noisy)
 
 
 @pytest.mark.parametrize("place", ["ParquetWriter.write_table", "write_table"])
-def test_a_full_disk_leaves_nothing_and_touches_nothing(folder, demonstrations, monkeypatch, place):
+def test_a_full_disk_leaves_nothing_and_touches_nothing(folder, noisy, monkeypatch, place):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     before = contents(folder.parent)
     monkeypatch.setattr(f"pyarrow.parquet.{place}", full)
     with pytest.raises(OSError, match="No space left on device"):
-        save(demonstrations, folder.parent / "other", task="t")
+        save(noisy, folder.parent / "other", task="t")
     assert contents(folder.parent) == before
     assert list(folder.parent.iterdir()) == [folder]

@@ -81,6 +81,7 @@ def test_a_file_overrides_what_it_names(tmp_path):
         ("[1]", "holds no limits by joint"),
         ('{"joint 1": 3}', "holds no limits by joint"),
         ('{"elbow": {"lower": 0}}', "limits elbow, the plan moves joint 0, joint 1"),
+        ('{"joint 1": {"lower": true}}', "has lower True for joint 1: give numbers for lower, upper, velocity, step"),
         ('{"joint 1": {"lowest": 0}}', "has lowest 0 for joint 1: give numbers for lower, upper, velocity, step"),
         ('{"joint 1": {"lower": "0"}}', "has lower '0' for joint 1"),
         ('{"joint 1": {"lower": NaN}}', "has lower nan for joint 1"),

@@ -39,6 +39,12 @@ def test_a_frame_from_an_image_can_be_written_to(picture, sensors):
     assert read_image(picture, sensors).flags.writeable  # torch warns of frames that cannot
 
 
+def test_an_image_that_pillow_takes_for_a_bomb_is_told(picture, sensors, monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    with pytest.raises(ValueError, match=r"goal.png is not an image that can be read: give a PNG or JPEG file"):
+        read_image(picture, sensors)
+
+
 def test_a_colour_image_is_grey_to_a_model_that_sees_grey(tmp_path, sensors):
     Image.new("RGB", (64, 64), (10, 10, 10)).save(tmp_path / "colour.png")
     assert (read_image(tmp_path / "colour.png", sensors) == 10).all()

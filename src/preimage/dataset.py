@@ -16,6 +16,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
+from typing import TypeVar
 
 import numpy as np
 
@@ -29,6 +30,8 @@ from preimage.wording import number_of
 __all__ = ["Opened", "describe", "fingerprint", "load", "open_recordings", "read_episodes", "save"]
 
 BY_DEFAULT = View()
+
+Recording = TypeVar("Recording", Demonstration, Episode)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,7 @@ def open_recordings(folder: Path | str, *, view: View = BY_DEFAULT, only: Collec
     demonstrations = [_demonstration(episode, folder) for episode in episodes]
     joints = _chosen_joints(demonstrations, eye.view, folder)
     body = Body(description.joint_names, _held(demonstrations, joints), description.joint_unit)
-    demonstrations = [_with_joints(each, joints) for each in demonstrations]
+    demonstrations = [_with_joints(each, joints, folder) for each in demonstrations]
     channels = demonstrations[0].frames.shape[-1]
     if view.colour == "keep" and (telling := telling_channels([each.frames for each in demonstrations])) != channels:
         channels, demonstrations = telling, [replace(each, frames=each.frames[..., :telling].copy()) for each in demonstrations]
@@ -89,7 +92,7 @@ def open_recordings(folder: Path | str, *, view: View = BY_DEFAULT, only: Collec
 def read_episodes(folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None) -> Iterator[Episode]:
     """The episodes of a data set one by one, whether they are whole or not, for those who want to know what is wrong.
 
-    Crop, size and camera of the view are applied, and grey or colour where it asks for one; joints are all that were recorded.
+    All that the view asks for is applied; what it leaves open of joints and colour is left as it was recorded.
 
     Args:
         view: how to look at them.
@@ -98,7 +101,9 @@ def read_episodes(folder: Path | str, *, view: View = BY_DEFAULT, only: Collecti
     Raises:
         ValueError: the folder is no data set, or what says where the episodes lie cannot be read, or the view does not fit.
     """
-    return _reader(Path(folder)).read_episodes(Path(folder), Eye(view), only)
+    folder = Path(folder)
+    episodes = _reader(folder).read_episodes(folder, Eye(view), only)
+    return episodes if view.joints is None else (_with_joints(episode, view.joints, folder) for episode in episodes)
 
 
 def describe(folder: Path | str) -> Description:
@@ -123,7 +128,7 @@ def fingerprint(demonstrations: Sequence[Demonstration]) -> str:
 def _reader(folder: Path) -> ModuleType:
     """The room that reads this kind of data set; both have `describe` and `read_episodes`."""
     if not folder.is_dir():
-        raise ValueError(f"{folder} is not a folder: name one that holds a LeRobot data set")
+        raise ValueError(f"{folder} is not a folder: name that of a data set")
     if (folder / INFO).is_file():
         return lerobot_reading
     if plain_folder.is_plain(folder):
@@ -164,15 +169,10 @@ def _demonstration(episode: Episode, folder: Path) -> Demonstration:
 
 
 def _chosen_joints(demonstrations: Sequence[Demonstration], view: View, folder: Path) -> tuple[str, ...]:
-    names = demonstrations[0].joint_names
-    if view.joints is None:
-        ours = (folder / EXTRAS).is_file()
-        return tuple(name for name, moves in zip(names, moving([each.joints for each in demonstrations]), strict=True) if ours or moves)
-    if unknown := [name for name in view.joints if name not in names]:
-        raise ValueError(f"{folder} has no joint {unknown[0]}: it has {', '.join(names)}")
-    if not view.joints or len(set(view.joints)) != len(view.joints):
-        raise ValueError(f"joints are {', '.join(view.joints) or 'none'}: name one or more, each once")
-    return view.joints
+    if view.joints is not None:
+        return view.joints
+    names, ours = demonstrations[0].joint_names, (folder / EXTRAS).is_file()
+    return tuple(name for name, moves in zip(names, moving([each.joints for each in demonstrations]), strict=True) if ours or moves)
 
 
 def _held(demonstrations: Sequence[Demonstration], joints: tuple[str, ...]) -> dict[str, float]:
@@ -180,11 +180,16 @@ def _held(demonstrations: Sequence[Demonstration], joints: tuple[str, ...]) -> d
     return {name: start for name, start in zip(demonstrations[0].joint_names, starts, strict=True) if name not in joints}
 
 
-def _with_joints(demonstration: Demonstration, joints: tuple[str, ...]) -> Demonstration:
-    if joints == demonstration.joint_names:
-        return demonstration
-    columns = [demonstration.joint_names.index(name) for name in joints]
-    return replace(demonstration, joints=demonstration.joints[:, columns], joint_names=joints)
+def _with_joints(recording: Recording, joints: tuple[str, ...], folder: Path) -> Recording:
+    names = recording.joint_names
+    if unknown := [name for name in joints if name not in names]:
+        raise ValueError(f"{folder} has no joint {unknown[0]}: it has {', '.join(names)}")
+    if not joints or len(set(joints)) != len(joints):
+        raise ValueError(f"joints are {', '.join(joints) or 'none'}: name one or more, each once")
+    if joints == names:
+        return recording
+    columns = [names.index(name) for name in joints]
+    return replace(recording, joints=recording.joints[:, columns], joint_names=joints)
 
 
 def _told(demonstrations: Sequence[Demonstration], description: Description, view: View, *, chosen: bool) -> tuple[str, ...]:

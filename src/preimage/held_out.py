@@ -70,7 +70,7 @@ class Compared:
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
+class Way:
     """Where joints and camera went, from the start to the arrival."""
 
     joints: Float[np.ndarray, "T J"]
@@ -88,14 +88,14 @@ def every_nth(num_episodes: int, nth: int) -> list[int]:
         return []
     if not 2 <= nth <= num_episodes:
         raise ValueError(
-            f"hold-out is {nth} with {number_of(num_episodes, 'episode')}: give 2 to {num_episodes}, or 0 to train on all of them"
+            f"hold-out is {nth} with {number_of(num_episodes, 'episode')}: give 2 to as many as there are, or 0 to train on all"
         )
     return list(range(nth - 1, num_episodes, nth))
 
 
 def never_shown(demonstrations: Sequence[Demonstration], shown: Sequence[Shown]) -> list[int]:
     """The episodes that a model was not trained on, by number: those that are not among the demonstrations its run keeps."""
-    return [index for index, one in enumerate(demonstrations) if not any(_is_same(one, other) for other in shown)]
+    return [index for index, one in enumerate(demonstrations) if not any(is_same(one, other) for other in shown)]
 
 
 def compare(
@@ -124,9 +124,9 @@ def compare(
     compared = []
     for episode, one in demonstrations.items():
         found = plan(model, start=one.first, goal=goal_of(one, config), config=config, library=library)
-        baselines = {name: _errors(one, way) for name, way in _baselines(model, one, shown, config).items()}
+        baselines = {name: errors_of(one, way) for name, way in baselines_of(model, one, shown, config).items()}
         by_joint = np.abs(found.joints[found.arrival_step] - one.joints[-1])
-        compared.append(Compared(episode, one, found, _errors(one, _way_of(found)), by_joint, baselines))
+        compared.append(Compared(episode, one, found, errors_of(one, way_of(found)), by_joint, baselines))
         if progress:
             progress(compared[-1])
     return compared
@@ -158,7 +158,7 @@ def compare_run(
         progress(len(done), len(episodes))
 
     compared = compare(model, {episode: recorded[episode] for episode in episodes}, shown=shown, config=config, progress=tell)
-    result = result_of_comparison(compared, _about(run, folder, data, recorded) | {"plan": asdict(config), "provenance": provenance()})
+    result = result_of_comparison(compared, about_run(run, folder, data, recorded) | {"plan": asdict(config), "provenance": provenance()})
     write_json(out, result)
     written = write_films(compared, film_folder) if film_folder else []
     return lines_of(result) + [f"film: {path}" for path in written]
@@ -175,8 +175,8 @@ def result_of_comparison(compared: Sequence[Compared], about: dict[str, Any]) ->
     by_joint = np.mean([one.by_joint for one in compared], axis=0)
     ways = {"imagined": [one.imagined for one in compared]}
     ways |= {name: [one.baselines[name] for one in compared] for name in compared[0].baselines}
-    counted = {name: _spread(errors) for name, errors in ways.items()}
-    against = {name: _ratios(counted["imagined"], counted[name]) for name in compared[0].baselines}
+    counted = {name: spread_of(errors) for name, errors in ways.items()}
+    against = {name: ratios(counted["imagined"], counted[name]) for name in compared[0].baselines}
     return {
         **about,
         "note": NOTE,
@@ -189,7 +189,7 @@ def result_of_comparison(compared: Sequence[Compared], about: dict[str, Any]) ->
         "imagined_as_share_of": against,
         "seconds_per_plan": round(float(seconds.mean()), 3),
         "seconds_per_plan_max": round(float(seconds.max()), 3),
-        "rows": [_row(one) for one in compared],
+        "rows": [row_of(one) for one in compared],
     }
 
 
@@ -233,59 +233,59 @@ def moments(values: Float[np.ndarray, "T J"], count: int) -> Float[np.ndarray, "
     return np.stack([np.interp(wanted, steps, column) for column in values.T], axis=-1)  # (N, J)
 
 
-def _frames_at_moments(frames: UInt8[np.ndarray, "T H W C"], count: int) -> UInt8[np.ndarray, "N H W C"]:
+def frames_at_moments(frames: UInt8[np.ndarray, "T H W C"], count: int) -> UInt8[np.ndarray, "N H W C"]:
     """The frames nearest to the moments, for pictures between two steps were never seen."""
     return frames[np.linspace(0, len(frames) - 1, count).round().astype(int)]
 
 
-def _about(run: str, folder: Path, data: Path, recorded: Sequence[Demonstration]) -> dict[str, Any]:
+def about_run(run: str, folder: Path, data: Path, recorded: Sequence[Demonstration]) -> dict[str, Any]:
     """Which run is compared with which data, and whether those are the data whose other episodes it was trained on."""
     trained_on, name = read_config(folder).get("data") or {}, fingerprint(recorded)
     told = {"name": data.name, "fingerprint": name, "rest_was_trained_on": trained_on.get("fingerprint") == name}
     return {"kind": "held-out", "model": run, "data": told} | made_from(folder)
 
 
-def _is_same(demonstration: Demonstration, shown: Shown) -> bool:
+def is_same(demonstration: Demonstration, shown: Shown) -> bool:
     joints = demonstration.joints.astype(np.float32), shown.joints.astype(np.float32)
     return np.array_equal(*joints) and np.array_equal(demonstration.frames[-1], shown.last_frame)
 
 
-def _way_of(plan: Plan) -> _Way:
+def way_of(plan: Plan) -> Way:
     end = plan.arrival_step + 1
-    return _Way(plan.joints[:end], plan.frames[end - 1], plan.frames[:end])
+    return Way(plan.joints[:end], plan.frames[end - 1], plan.frames[:end])
 
 
-def _baselines(model: PDVMRNN, one: Demonstration, shown: Sequence[Shown], config: PlanConfig) -> dict[str, _Way]:
+def baselines_of(model: PDVMRNN, one: Demonstration, shown: Sequence[Shown], config: PlanConfig) -> dict[str, Way]:
     nearest = nearest_shown(shown, one.last)
     return {
-        "nearest_demonstration": _Way(nearest.joints, nearest.last_frame),
-        "prior_mean": _way_of(imagine_without_goal(model, one.first, config=config)),
-        "staying": _Way(one.joints[:1], one.frames[0], one.frames[:1]),
+        "nearest_demonstration": Way(nearest.joints, nearest.last_frame),
+        "prior_mean": way_of(imagine_without_goal(model, one.first, config=config)),
+        "staying": Way(one.joints[:1], one.frames[0], one.frames[:1]),
     }
 
 
-def _errors(recorded: Demonstration, way: _Way) -> Errors:
+def errors_of(recorded: Demonstration, way: Way) -> Errors:
     end = way.joints[-1] - recorded.joints[-1]
     on_the_way = moments(way.joints, NUM_MOMENTS) - moments(recorded.joints, NUM_MOMENTS)
     frames = None
     if way.frames is not None:
-        seen, truth = (_frames_at_moments(each, NUM_MOMENTS) for each in (way.frames, recorded.frames))
-        frames = _squared_difference(seen, truth)
+        seen, truth = (frames_at_moments(each, NUM_MOMENTS) for each in (way.frames, recorded.frames))
+        frames = squared_difference(seen, truth)
     return Errors(
         joints_at_arrival=float(np.abs(end).mean()),
         joints_at_arrival_rms=float(np.sqrt(np.square(end).mean())),
         joints_on_the_way=float(np.abs(on_the_way).mean()),
         joints_on_the_way_rms=float(np.sqrt(np.square(on_the_way).mean())),
-        frame_at_arrival=_squared_difference(way.last_frame, recorded.frames[-1]),
+        frame_at_arrival=squared_difference(way.last_frame, recorded.frames[-1]),
         frames_on_the_way=frames,
     )
 
 
-def _squared_difference(one: Shaped[np.ndarray, "*size"], other: Shaped[np.ndarray, "*size"]) -> float:
+def squared_difference(one: Shaped[np.ndarray, "*size"], other: Shaped[np.ndarray, "*size"]) -> float:
     return float(np.square(one.astype(np.float32) - other).mean())
 
 
-def _spread(errors: Sequence[Errors]) -> dict[str, dict[str, float] | None]:
+def spread_of(errors: Sequence[Errors]) -> dict[str, dict[str, float] | None]:
     """Mean, median and largest of each error over the episodes."""
     spreads: dict[str, dict[str, float] | None] = {}
     for name in (field.name for field in fields(Errors)):
@@ -296,12 +296,12 @@ def _spread(errors: Sequence[Errors]) -> dict[str, dict[str, float] | None]:
     return spreads
 
 
-def _ratios(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, float | None]:
+def ratios(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, float | None]:
     """Mean errors of one way as a share of another's; None where that is unknown or 0."""
     return {name: round(one[name]["mean"] / other[name]["mean"], 4) if other[name] and other[name]["mean"] else None for name in one}
 
 
-def _row(one: Compared) -> dict[str, Any]:
+def row_of(one: Compared) -> dict[str, Any]:
     return {
         "episode": one.episode,
         "recorded_steps": len(at_rate(one.demonstration, one.plan.rate_hz)) - 1,

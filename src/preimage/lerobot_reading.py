@@ -145,12 +145,14 @@ def read_info(folder: Path) -> Info:
         known = " and ".join(VERSIONS)
         raise ValueError(f"{folder} is a LeRobot data set of version {version}: only {known} can be read, convert it with LeRobot first")
     fps, features = info.get("fps"), info.get("features")
-    if not isinstance(fps, int | float) or not fps > 0:
+    if not isinstance(fps, int | float) or not 0 < fps < math.inf:
         raise ValueError(f"{path} has fps {fps!r}: it should be the number of steps a second")
     if not isinstance(features, dict) or not all(isinstance(feature, dict) for feature in features.values()):
         raise ValueError(f"{path} has no usable features: they should describe each column by its dtype, shape and names")
     if not isinstance(info.get("total_episodes"), int):
         raise ValueError(f"{path} has total_episodes {info.get('total_episodes')!r}: it should be the number of episodes")
+    if not isinstance(info.setdefault("chunks_size", 1000), int) or info["chunks_size"] < 1:
+        raise ValueError(f"{path} has chunks_size {info['chunks_size']!r}: it should be the number of episodes a folder")
     return info
 
 
@@ -207,6 +209,8 @@ def _places_in_many(folder: Path, info: Info, camera: str) -> list[Place]:
     index = [row for path in paths for row in _read_table(path, columns, ["tasks"]).to_pylist()]
     if not index:
         raise ValueError(f"{folder} has no episodes in meta/episodes: record one or more, or {AGAIN}")
+    if empty := [column for column in columns if None in (row[column] for row in index)]:
+        raise ValueError(f"{folder}/meta/episodes does not tell {empty[0]} of every episode: the index is damaged, {AGAIN}")
     places = []
     for row in index:
         data = _path(folder, info, "data_path", chunk_index=row["data/chunk_index"], file_index=row["data/file_index"])
@@ -232,7 +236,7 @@ def _places_in_one(folder: Path, info: Info, camera: str) -> list[Place]:
             episode, length = int(row["episode_index"]), int(row["length"])
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{path}, line {line} does not tell an episode's number and length: the file is damaged, {AGAIN}") from error
-        numbers = {"episode_chunk": episode // info.get("chunks_size", 1000), "episode_index": episode}
+        numbers = {"episode_chunk": episode // info["chunks_size"], "episode_index": episode}
         video = info["features"][camera]["dtype"] == "video"
         film = _path(folder, info, "video_path", video_key=camera, **numbers) if video else None
         places.append(Place(episode, length, _task(row), _path(folder, info, "data_path", **numbers), film))

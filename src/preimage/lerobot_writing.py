@@ -31,7 +31,7 @@ from preimage.records import Demonstration
 VERSION = "v3.0"
 CAMERA = "observation.images.camera"
 STATS, TASKS = "meta/stats.json", "meta/tasks.parquet"
-CHUNK_FILE = "chunk-{chunk:03d}/file-{file:03d}.parquet"
+CHUNK_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 DATA, EPISODES = f"data/{CHUNK_FILE}", f"meta/episodes/{CHUNK_FILE}"
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 PICTURE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
@@ -89,7 +89,7 @@ def _check_alike(demonstrations: Sequence[Demonstration]) -> None:
 
 def _write(demonstrations: Sequence[Demonstration], folder: Path, task: str, joint_unit: str | None) -> None:
     features = _features(demonstrations[0])
-    data_file, index_file = (folder / name.format(chunk=0, file=0) for name in (DATA, EPISODES))
+    data_file, index_file = (folder / name.format(chunk_index=0, file_index=0) for name in (DATA, EPISODES))
     data_file.parent.mkdir(parents=True)
     index_file.parent.mkdir(parents=True)
     starts = np.cumsum([0, *map(len, demonstrations)]).tolist()
@@ -133,7 +133,7 @@ def _info(features: dict[str, dict[str, Any]], rate_hz: float, num_episodes: int
         "chunks_size": 1000,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
-        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "data_path": DATA,
         "video_path": None,
         "robot_type": None,
         "splits": {"train": f"0:{num_episodes}"},

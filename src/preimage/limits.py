@@ -20,6 +20,7 @@ from jaxtyping import Float
 from preimage.model import Sensors
 from preimage.records import Plan, Shown
 from preimage.sequences import LIMIT_MARGIN
+from preimage.wording import number_of
 
 UNIT = "units"
 """What the joints' unit is called where nobody said which it is."""
@@ -74,7 +75,7 @@ def read_limits(path: Path, others: Limits, *, rate_hz: float) -> Limits:
         if name not in others.joint_names:
             raise ValueError(f"{path} limits {name}, the plan moves {', '.join(others.joint_names)}")
         for key, value in given.items():
-            if key not in KEYS or not isinstance(value, int | float) or not math.isfinite(value):
+            if key not in KEYS or isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 raise ValueError(f"{path} has {key} {value!r} for {name}: give numbers for {', '.join(KEYS)}")
         joint = others.joint_names.index(name)
         lower[joint], upper[joint] = given.get("lower", lower[joint]), given.get("upper", upper[joint])
@@ -108,10 +109,6 @@ def within_limits(joints: Float[np.ndarray, "T J"], limits: Limits, *, period_s:
     return np.stack(commands), limiter.sentences()
 
 
-def counted(steps: int) -> str:
-    return "1 step" if steps == 1 else f"{steps} steps"
-
-
 class Limiter:
     """Follows the joints that are wanted, one step at a time, as well as the limits allow, and counts where they did not."""
 
@@ -140,17 +137,14 @@ class Limiter:
 
     def sentences(self) -> tuple[str, ...]:
         """A sentence for each limit that changed a command."""
-        named = list(zip(self._limits.joint_names, self._limits.units, strict=True))
-        bounds = zip(named, self._limits.lower, self._limits.upper, self._num_kept, strict=True)
-        speeds = zip(named, self._limits.velocity, self._num_slowed, strict=True)
-        return tuple(
-            [
-                f"{name} kept above {low:g} and below {high:g} {unit} in {counted(int(count))}"
-                for (name, unit), low, high, count in bounds
-                if count
-            ]
-            + [f"{name} slowed to {velocity:g} {unit}/s in {counted(int(count))}" for (name, unit), velocity, count in speeds if count]
-        )
+        limits, kept, slowed = self._limits, [], []
+        numbers = limits.lower, limits.upper, limits.velocity, self._num_kept.tolist(), self._num_slowed.tolist()
+        for name, unit, low, high, velocity, num_kept, num_slowed in zip(limits.joint_names, limits.units, *numbers, strict=True):
+            if num_kept:
+                kept.append(f"{name} kept above {low:g} and below {high:g} {unit} in {number_of(num_kept, 'step')}")
+            if num_slowed:
+                slowed.append(f"{name} slowed to {velocity:g} {unit}/s in {number_of(num_slowed, 'step')}")
+        return *kept, *slowed
 
     def _allowed(self, wanted: Float[np.ndarray, " J"]) -> Float[np.ndarray, " J"]:
         allowed = np.clip(wanted, self._limits.lower, self._limits.upper)

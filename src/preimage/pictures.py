@@ -14,6 +14,8 @@ from preimage.view import Picture
 
 MODES = "L", "RGB", "RGBA"
 AGAIN = "copy the data set again"
+UNDECODABLE = OSError, SyntaxError, ValueError, Image.DecompressionBombError
+"""What Pillow raises where a file holds no picture."""
 
 
 def decode(content: bytes | Path | None, where: str) -> Picture:
@@ -26,7 +28,7 @@ def decode(content: bytes | Path | None, where: str) -> Picture:
     try:
         with Image.open(content if isinstance(content, Path) else io.BytesIO(content or b""), formats=("PNG", "JPEG")) as image:
             mode, frame = image.mode, np.asarray(image)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+    except UNDECODABLE:
         return f"{where} has a frame that cannot be decoded: {AGAIN} or leave that episode out"
     if mode not in MODES:
         return f"{where} has a frame of mode {mode}: it should be 8-bit grey, RGB, or RGBA where the fourth channel is depth"

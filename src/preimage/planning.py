@@ -22,6 +22,7 @@ from preimage.prediction_error import Modalities, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Regression, RegressionConfig, regress_intention
 from preimage.sequences import at_rate
+from preimage.wording import number_of
 
 
 @dataclass(frozen=True)
@@ -281,7 +282,7 @@ def as_inputs(model: PDVMRNN, percept: Percept, *, name: str) -> Sensed:
     if percept.frame.shape != wanted:
         raise ValueError(f"the {name}'s frame is {percept.frame.shape} (height, width, channels), the model sees {wanted}")
     if len(percept.joints) != sensors.num_joints:
-        raise ValueError(f"the {name} has {len(percept.joints)} joints, the model was trained with {sensors.num_joints}")
+        raise ValueError(f"the {name} has {number_of(len(percept.joints), 'joint')}, the model was trained with {sensors.num_joints}")
     if not np.isfinite(percept.joints).all():
         raise ValueError(f"the {name}'s joints are not finite: {percept.joints.tolist()}")
     if percept.frame.dtype != np.uint8:

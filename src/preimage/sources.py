@@ -14,6 +14,7 @@ from PIL import Image
 
 from preimage.dataset import describe, load
 from preimage.model import Sensors
+from preimage.pictures import MODES, UNDECODABLE
 from preimage.records import Percept, Scene
 from preimage.runs import seen_by
 from preimage.view import View, look
@@ -69,8 +70,8 @@ def read_image(path: Path, sensors: Sensors, view: View | None = None) -> UInt8[
     """
     try:
         with Image.open(path) as image:
-            picture = np.array(image if image.mode in ("L", "RGB", "RGBA") else image.convert("RGB"))  # a copy, for torch wants to own it
-    except OSError as error:
+            picture = np.array(image if image.mode in MODES else image.convert("RGB"))  # a copy, for torch wants to own it
+    except UNDECODABLE as error:
         raise ValueError(f"{path} is not an image that can be read: give a PNG or JPEG file") from error
     frame = look(picture.reshape(*picture.shape[:2], -1), view or seen_by(sensors), str(path))
     if sensors.channels == 4 and frame.shape[-1] != 4:

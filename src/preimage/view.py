@@ -172,7 +172,7 @@ class Eye:
         self._kind: tuple[int, ...] | None = None
 
     def watch(self, pictures: Iterable[Picture], where: str) -> tuple[UInt8[np.ndarray, "F H W C"], tuple[str, ...]]:
-        """The frames of an episode as the view shows them, and a sentence for each that is missing.
+        """The frames of an episode as the view shows them, of no size where there is none, and a sentence for each that is missing.
 
         Raises:
             ValueError: the view does not fit the pictures.
@@ -188,8 +188,7 @@ class Eye:
             else:
                 self._settle(picture, where)
                 frames.append(look(picture, self.view, where))
-        nothing = np.zeros((0, *(self.view.size or (0, 0)), self._kind[-1] if self._kind else 1), np.uint8)
-        return np.stack(frames) if frames else nothing, tuple(faults)
+        return np.stack(frames) if frames else np.zeros((0, 0, 0, 1), np.uint8), tuple(faults)
 
     def _settle(self, picture: Frame, where: str) -> None:
         if self._kind is None:

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from tyro.conf import Positional
@@ -92,7 +92,7 @@ def train_(
         hold_out: every Nth episode is not trained on but kept for `preimage evaluate --data`; 0 trains on all.
         rate_hz: steps a second that the model runs at, instead of the size's own.
         intention_dimensions: numbers that make an intention, instead of the size's own.
-        intention_cost: charge for what an intention tells, instead of the size's own: 0.2 where most can be seen at the start.
+        intention_cost: charge for what an intention tells, instead of the size's own: more where most can be seen at the start.
         intention_layers: layers whose initial states are the intention, instead of the size's own: top where most can be seen.
         view: how the recordings are looked at.
         config: how the network learns.
@@ -101,15 +101,10 @@ def train_(
     opened = open_recordings(data, view=read_view(out) if resume else view)
     recorded, lines = opened.demonstrations, list(opened.told)
     learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "held_out": every_nth(len(recorded), hold_out)}
-    asked = {"rate_hz": rate_hz, "intention_dimensions": intention_dimensions}
-    asked |= {"intention_cost": intention_cost, "intention_layers": intention_layers}
-    model_config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
-    refuse_out_of_range(model_config)
+    room = {"intention_dimensions": intention_dimensions, "intention_cost": intention_cost, "intention_layers": intention_layers}
+    model_config = sized(size, rate_hz=rate_hz, **room)
     if resume:
-        started = read_config(find_run(out)).get("data")
-        if not isinstance(started, dict) or started.get("fingerprint") != learned_from["fingerprint"]:
-            raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
-        learned_from = started
+        learned_from = begun_with(out, data, learned_from["fingerprint"])
         model_config, config = read_settings(ModelConfig, out, "model"), read_settings(TrainConfig, out, "train")
     held_out = learned_from.get("held_out", [])
     demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
@@ -132,6 +127,21 @@ def train_(
     write_card(out)
     left_out = f", {len(held_out)} held out" if held_out else ""
     print(f"trained on {number_of(len(demonstrations), 'demonstration')}{left_out}; the run is in {out}")
+
+
+def sized(size: str, **asked: Any) -> ModelConfig:
+    """The network of a size, with what was asked for in place of its own; ValueError where that is out of range."""
+    config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
+    refuse_out_of_range(config)
+    return config
+
+
+def begun_with(out: Path, data: Path, now: str) -> dict[str, Any]:
+    """What the run in `out` learned from; ValueError where that has another fingerprint than now."""
+    learned_from = read_config(find_run(out)).get("data")
+    if not isinstance(learned_from, dict) or learned_from.get("fingerprint") != now:
+        raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
+    return learned_from
 
 
 def task_of(demonstrations: list) -> str | None:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes
 from preimage.examination.seen import Seen
+from preimage.wording import number_of
 
 LEAST_STEPS = 2
 """A start and a goal: fewer steps show no way from one to the other."""
@@ -22,23 +23,26 @@ RATE = 0.05
 
 
 def alike(seen: Sequence[Seen]) -> tuple[list[Seen], list[Finding]]:
-    """The episodes that agree with most others in joints, rate and frame size, and a finding about the rest."""
-    kinds = [(one.joint_names, one.rate_hz, one.shape) for one in seen]
-    (usual, _) = Counter(kinds).most_common(1)[0]
-    others = [one.index for one, kind in zip(seen, kinds, strict=True) if kind != usual]
+    """The episodes that agree with most others in joints, rate and frame size, and a finding about the rest.
+
+    Where no frame could be read no size is known, and none is held against the episode.
+    """
+    kinds = {one.index: (one.joint_names, one.rate_hz, one.shape) for one in seen if one.num_frames}
+    usual = Counter(kinds.values()).most_common(1)
+    others = [index for index, kind in kinds.items() if kind != usual[0][0]]
     if not others:
         return list(seen), []
     what = f"{in_episodes(others)} differ from the others in frame size, rate or joints"
     found = Finding(Kind.UNLIKE, Severity.FAULT, what, "record all with one setting, or leave these out", tuple(others))
-    return [one for one, kind in zip(seen, kinds, strict=True) if kind == usual], [found]
+    return [one for one in seen if one.index not in others], [found]
 
 
 def unreadable(seen: Sequence[Seen]) -> Iterator[Finding]:
     broken = [one for one in seen if one.unreadable]
     if broken:
         count = sum(len(one.unreadable) for one in broken)
-        what = f"{in_episodes(one.index for one in broken)} lack {count} parts, the first: {broken[0].unreadable[0]}"
-        yield Finding(Kind.UNREADABLE, Severity.FAULT, what, "copy the data set again", tuple(one.index for one in broken))
+        what = f"{in_episodes(one.index for one in broken)} lack {number_of(count, 'part')}, the first: {broken[0].unreadable[0]}"
+        yield Finding(Kind.UNREADABLE, Severity.FAULT, what, "mend them, or leave these episodes out", tuple(one.index for one in broken))
 
 
 def lengths(seen: Sequence[Seen]) -> Iterator[Finding]:

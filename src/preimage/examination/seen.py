@@ -91,14 +91,14 @@ def look_through(episode: Episode) -> Seen:
         changes=away.mean(0, dtype=np.float32) if num_frames else quarters[0],
         goal=small[-1] if num_frames else quarters[0],
         same_as_before=np.array([np.array_equal(a, b) for a, b in itertools.pairwise(frames)], bool),
-        blank=small.std((1, 2)) < BLANK,
+        blank=small.std((1, 2)) < BLANK if num_frames else np.zeros(0, bool),
         moving_px=_moving_px(small),
     )
 
 
 def shrunk(frames: UInt8[np.ndarray, "F H W C"]) -> Float32[np.ndarray, "F h w"]:
     """In grey, and no more than `SIDE` pixels along the longer side, each the mean of a block; what remains at the edge is cut off."""
-    block = -(-max(frames.shape[1:3]) // SIDE)
+    block = max(1, -(-max(frames.shape[1:3]) // SIDE))
     height, width = frames.shape[1] // block * block, frames.shape[2] // block * block
     grey = frames[:, :height, :width, :3]  # a fourth channel would be depth
     blocks = grey.reshape(len(frames), height // block, block, width // block, block, grey.shape[-1])

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 
-from preimage.examination import CameraMove, Examination, Finding, Kind, Seen
+from preimage.examination import CameraMove, Examination, Finding, Kind, Seen, Severity
 from preimage.report.figures import ARRIVAL, FAILURE, INK, MUTED, WIDTH_INCHES, draw_frame, quiet, sheet
 from preimage.report.films import as_rgb
 from preimage.report.pages import document
@@ -44,7 +44,7 @@ def examined_page(examination: Examination, path: str | os.PathLike[str], *, tit
 
 
 def _facts(seen: Sequence[Seen]) -> str:
-    first, steps = seen[0], sum(one.num_steps for one in seen)
+    first, steps = next((one for one in seen if one.num_frames), seen[0]), sum(one.num_steps for one in seen)
     height, width, channels = first.shape
     facts = f"{number_of(len(seen), 'episode')} · {number_of(steps, 'step')} at {first.rate_hz:g} Hz"
     facts += f" · frames {height} x {width} x {channels}"
@@ -53,7 +53,7 @@ def _facts(seen: Sequence[Seen]) -> str:
 
 def _table(findings: Sequence[Finding]) -> str:
     rows = "".join(
-        f'<tr class="{"failure" if finding.severity.value == "fault" else finding.severity.value}"><td>{finding.severity.value}</td>'
+        f'<tr class="{"failure" if finding.severity is Severity.FAULT else finding.severity.value}"><td>{finding.severity.value}</td>'
         f"<td><b>{escape(finding.kind.value)}</b></td><td>{escape(finding.what)}</td><td>{escape(finding.help)}</td></tr>\n"
         for finding in findings
     )
@@ -69,7 +69,7 @@ def _pictures(examination: Examination) -> list[str]:
     alike = [one for one in shown if (one.joint_names, one.background.shape) == (shown[0].joint_names, shown[0].background.shape)]
     if not shown:
         return []
-    flagged = {episode for finding in examination.findings if finding.severity.value != "note" for episode in finding.episodes}
+    flagged = {episode for finding in examination.findings if finding.severity is not Severity.NOTE for episode in finding.episodes}
     pictures = [_picture("First and last frames", "Flagged episodes have red numbers.", _contact_sheet(shown, flagged))]
     if examination.moves:
         words = "What a pixel mostly shows in the episode before and after, and where the two differ."

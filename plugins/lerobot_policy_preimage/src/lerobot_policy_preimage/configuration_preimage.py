@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from lerobot.configs import PreTrainedConfig
 
+from preimage.planning import PlanConfig
+
 
 @PreTrainedConfig.register_subclass("preimage")
 @dataclass
@@ -11,7 +13,7 @@ class PreimageConfig(PreTrainedConfig):
     """A trained run, a goal, and how they are used."""
 
     run: str = ""
-    """Run folder of `preimage train`, or the name of a bundled model."""
+    """Run folder of `preimage train`, the name of a bundled model, or hf:OWNER/NAME of the Hugging Face Hub."""
     goal: str = ""
     """Image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set; without one the observation has to hold `goal_key`."""
     goal_key: str = "observation.images.goal"
@@ -22,7 +24,7 @@ class PreimageConfig(PreTrainedConfig):
     """Calls of `select_action` a second."""
     iterations: int | None = None
     """Iterations of the error regression; by default as many as `preimage plan` makes."""
-    doubt: float = 0.15
+    doubt: float = PlanConfig.doubt
     """Share of what there is to explain above which a plan's error asks for another search."""
     save_predicted_video: bool = False
     """Whether `lerobot-eval` writes what was imagined."""

@@ -51,9 +51,9 @@ class PreimagePolicy(PreTrainedPolicy):
     def __init__(self, config: PreimageConfig, **_: Any) -> None:
         super().__init__(config)
         config.validate_features()
-        self.model = load_model(config.run)
-        self.view, self.body = read_view(config.run), read_body(config.run)
-        self.limits = limits_seen(self.model.sensors, read_shown(find_run(config.run)), unit=self.body.joint_unit)
+        folder = find_run(config.run)  # once, so that all parts of a run on the Hub are of one revision
+        self.model, self.view, self.body = load_model(folder), read_view(folder), read_body(folder)
+        self.limits = limits_seen(self.model.sensors, read_shown(folder), unit=self.body.joint_unit)
         self.known = [self.body.joint_names.index(name) for name in self.model.sensors.joint_names]
         found = find_percept(config.goal, self.model.sensors, view=self.view, default_step=-1) if config.goal else None
         self.goal = found.percept.frame if found else None
