@@ -1,6 +1,5 @@
 """What a user can get wrong on the command line is told in one sentence, and nothing is written."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -12,8 +11,7 @@ from PIL import Image
 from conftest import make_demonstration
 from preimage import cli
 from preimage.dataset import save
-
-DATA_FILE = "data/chunk-000/file-000.parquet"
+from recordings import DATA, edit_json
 
 
 @pytest.fixture
@@ -62,7 +60,7 @@ def test_missing_data_set(refused, tmp_path):
 
 
 def test_truncated_parquet(refused, other_data, tmp_path):
-    file = other_data() / DATA_FILE
+    file = other_data() / DATA
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     code, sentence = refused("train", tmp_path / "other", "--out", tmp_path / "run")
     assert code == 2
@@ -71,7 +69,7 @@ def test_truncated_parquet(refused, other_data, tmp_path):
 
 
 def test_nan_in_the_joints_of_a_data_set(refused, other_data, tmp_path):
-    file = other_data() / DATA_FILE
+    file = other_data() / DATA
     table = pq.read_table(file)
     rows = table.to_pylist()
     rows[8]["observation.state"][1] = float("nan")
@@ -230,13 +228,16 @@ def test_resume_with_other_data(refused, run_folder, other_data):
     assert "was trained on other demonstrations" in sentence
 
 
+def with_settings(run_folder: Path, place: Path, change: dict) -> Path:
+    shutil.copytree(run_folder, place / "run")
+    edit_json(place / "run" / "config.json", lambda config: config.update(change))
+    return place / "run"
+
+
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("change", [{"train": {"nonsense": 1}}, {"train": None}, {"model": [1]}, {"data": None}, {"data": [1]}])
 def test_resume_of_a_run_with_settings_that_are_not_known(refused, run_folder, data, tmp_path, change):
-    broken = tmp_path / "run"
-    shutil.copytree(run_folder, broken)
-    config = json.loads((broken / "config.json").read_text())
-    (broken / "config.json").write_text(json.dumps(config | change))
+    broken = with_settings(run_folder, tmp_path, change)
     code, sentence = refused("train", data, "--out", broken, "--resume")
     assert code == 2
     assert sentence.startswith(str(broken))
@@ -245,10 +246,7 @@ def test_resume_of_a_run_with_settings_that_are_not_known(refused, run_folder, d
 @pytest.mark.parametrize("change", [{"model": [1]}, {"sensors": None}, {"num_sequences": "3"}])
 @pytest.mark.usefixtures("unchecked")
 def test_plan_with_a_run_whose_settings_are_not_known(refused, run_folder, data, tmp_path, change):
-    broken = tmp_path / "run"
-    shutil.copytree(run_folder, broken)
-    config = json.loads((broken / "config.json").read_text())
-    (broken / "config.json").write_text(json.dumps(config | change))
+    broken = with_settings(run_folder, tmp_path, change)
     code, sentence = refused("plan", broken, "--goal", f"{data}:0", "--out", tmp_path / "plan")
     assert code == 2
     assert sentence.startswith(f"{broken} cannot be loaded (")
