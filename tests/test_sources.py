@@ -45,6 +45,12 @@ def test_an_image_that_pillow_takes_for_a_bomb_is_told(picture, sensors, monkeyp
         read_image(picture, sensors)
 
 
+def test_an_image_of_16_bits_is_told(tmp_path, sensors):
+    Image.fromarray(np.full((64, 64), 9000, np.uint16)).save(tmp_path / "deep.png")
+    with pytest.raises(ValueError, match=r"deep.png has more than 8 bits a pixel: give an 8-bit image"):
+        read_image(tmp_path / "deep.png", sensors)
+
+
 def test_a_colour_image_is_grey_to_a_model_that_sees_grey(tmp_path, sensors):
     Image.new("RGB", (64, 64), (10, 10, 10)).save(tmp_path / "colour.png")
     assert (read_image(tmp_path / "colour.png", sensors) == 10).all()

@@ -66,13 +66,16 @@ def read_image(path: Path, sensors: Sensors, view: View | None = None) -> UInt8[
         view: how the model saw its recordings (`runs.read_view`); by default whole and in its own size.
 
     Raises:
-        ValueError: it is no image, has other proportions than the recordings, or lacks the depth that the model sees.
+        ValueError: it is no image or none of 8 bits, has other proportions than the recordings, or lacks the depth that the model sees.
     """
     try:
         with Image.open(path) as image:
-            picture = np.array(image if image.mode in MODES else image.convert("RGB"))  # a copy, for torch wants to own it
+            mode = image.mode
+            picture = np.array(image if mode in MODES else image.convert("RGB"))  # a copy, for torch wants to own it
     except UNDECODABLE as error:
         raise ValueError(f"{path} is not an image that can be read: give a PNG or JPEG file") from error
+    if mode.startswith(("I", "F")):  # Pillow cuts off at 255 what is brighter
+        raise ValueError(f"{path} has more than 8 bits a pixel: give an 8-bit image")
     frame = look(picture.reshape(*picture.shape[:2], -1), view or seen_by(sensors), str(path))
     if sensors.channels == 4 and frame.shape[-1] != 4:
         raise ValueError(f"{path} has no depth, which the model sees: give a PNG whose fourth channel is the depth")

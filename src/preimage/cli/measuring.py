@@ -57,8 +57,7 @@ def evaluate_(
     if films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     folder = find_run(run)
-    model = load_model(folder)
-    made = made_from(folder)
+    model, learned_from, made = load_model(folder), read_shown(folder), made_from(folder)
     about = {"task": task, "model": run} | made
     about |= {"seed": seed, "loop": loop, "paper": paper_of(task, made["num_demonstrations"], loop)}
     about |= {"plan": asdict(config), "provenance": provenance()}
@@ -73,8 +72,7 @@ def evaluate_(
             if not console.is_terminal and len(reached) % 10 == 0:
                 print(f"{so_far}, {goals - len(reached)} goals left", file=sys.stderr, flush=True)
 
-        shown_before = read_shown(folder)
-        evaluated = evaluate(model, Arm(), TASKS[task], goals=goals, seed=seed, shown=shown_before, config=config, loop=loop, progress=tell)
+        evaluated = evaluate(model, Arm(), TASKS[task], goals=goals, seed=seed, shown=learned_from, config=config, loop=loop, progress=tell)
     result = result_of(evaluated, about)
     write_json(out, result)
     print(summary("preimage", result))

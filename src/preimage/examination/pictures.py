@@ -8,6 +8,7 @@ import numpy as np
 from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes
 from preimage.examination.seen import SIDE, Seen, divisors
 from preimage.examination.viewpoint import CameraMove, stretches
+from preimage.wording import number_of
 
 STUCK_TRAVEL = 0.1
 """Share of a joint's span that it moves under frames that stay the same in every bit: more than a resting arm wobbles."""
@@ -24,11 +25,11 @@ def blank(seen: Sequence[Seen]) -> Iterator[Finding]:
     if not dark:
         return
     episodes = tuple(one.index for one in dark)
-    what = f"{in_episodes(episodes)} hold {sum(int(one.blank.sum()) for one in dark)} frames of one colour"
     places = tuple((one.index, int(step)) for one in dark for step in np.flatnonzero(one.blank))
     if not any(one.sees for one in seen):
         yield Finding(Kind.BLANK, Severity.FAULT, "no frame shows anything", "look whether the right camera was recorded", episodes, places)
     else:
+        what = f"{in_episodes(episodes)} hold {number_of(len(places), 'frame')} of one colour"
         yield Finding(Kind.BLANK, Severity.WARNING, what, "leave these episodes out", episodes, places)
 
 
