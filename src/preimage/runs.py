@@ -34,7 +34,7 @@ from preimage.wording import number_of
 
 Record = TypeVar("Record")
 
-BUNDLED = ("reach", "move-object")
+BUNDLED = ("reach", "two-points", "move-object")
 """Names that stand for the models that come with the program."""
 
 
