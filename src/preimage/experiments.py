@@ -36,8 +36,12 @@ LITTLE_ROOM: dict[str, Any] = {"intention_layers": ("top",), "intention_dimensio
 """For scenes of which most can be seen at the start: it is to be looked at, not remembered."""
 INTENTION_COST = {"two-points": 0.03, "move-object": 0.2, "two-circles": 0.2}
 """The tasks with such scenes, and what their intentions are charged for a nat."""
-UPDATES = {"two-points": 1500, "move-object": 1300, "two-circles": 1300}
-"""Updates of a training, where not as many as `TrainConfig` says."""
+LEARNING: dict[str, dict[str, Any]] = {
+    "two-points": {"updates": 1500, "later_starts": 0.5},
+    "move-object": {"updates": 1300},
+    "two-circles": {"updates": 1300, "later_starts": 0.5},
+}
+"""How a task is learned, where not as `TrainConfig` says."""
 TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5000, 6000, 7000
 """To these a cell's seed is added: the seeds of what its model was never shown."""
 TELL = Callable[[str], None]
@@ -171,8 +175,8 @@ def network_of(cell: Cell) -> ModelConfig:
 
 def learning_of(cell: Cell) -> TrainConfig:
     """How the cell's model learns."""
-    updates = cell.updates or UPDATES.get(cell.task, TrainConfig().updates)
-    return TrainConfig(seed=cell.seed, updates=updates)
+    asked = LEARNING.get(cell.task, {}) | ({"updates": cell.updates} if cell.updates else {})
+    return TrainConfig(seed=cell.seed, **asked)
 
 
 def refuse_other_run(run: Path, demonstrations: list[Demonstration], config: TrainConfig) -> None:

@@ -1,7 +1,7 @@
 """Training: back-propagation through time on the weights and the intention table together (section II-B).
 
 Every update draws a few demonstrations, generates each from its own intention in closed loop, and lowers the prediction error of both
-modalities by Adam. Some of them are generated from a later step on, drawn anew each time: what is wanted stays the same wherever the
+modalities by Adam. A share of them may begin at a later step, drawn anew each time: what is wanted stays the same wherever the
 robot stands, so that the intention learns to hold where the way leads and leaves to the percept where it starts. What an update draws
 depends on the seed and its number alone, so that a training that was stopped and resumed gives
 the same weights, bit for bit on a CPU, as one that never stopped, and several processes those of one, to rounding (docs/many_machines.md).
@@ -54,7 +54,7 @@ class TrainConfig:
     """Largest norm of the weights' gradient; longer ones are shortened to it."""
     open_loop_share: float = 0.0
     """Share of the sensed percept in the network's input: 0 closed loop, 1 open loop."""
-    later_starts: float = 0.5
+    later_starts: float = 0.0
     """Share of an update's sequences that begin at a later step of their demonstration, under the same intention."""
     rest_steps: int = 30
     """Steps of rest after a demonstration's end that count: the arm learns to stay at the goal."""
