@@ -175,8 +175,8 @@ def network_of(cell: Cell) -> ModelConfig:
 
 def learning_of(cell: Cell) -> TrainConfig:
     """How the cell's model learns."""
-    asked = LEARNING.get(cell.task, {}) | ({"updates": cell.updates} if cell.updates else {})
-    return TrainConfig(seed=cell.seed, **asked)
+    config = replace(TrainConfig(seed=cell.seed), **LEARNING.get(cell.task, {}))
+    return replace(config, updates=cell.updates) if cell.updates else config
 
 
 def refuse_other_run(run: Path, demonstrations: list[Demonstration], config: TrainConfig) -> None:
