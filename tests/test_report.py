@@ -341,7 +341,14 @@ def test_charts_are_pictures(tmp_path):
 
 def test_recordings_that_were_held_out_have_a_row_for_each_way():
     errors = {name: {"mean": 0.25, "median": 0.125} for name in ("joints_at_arrival", "joints_on_the_way", "frame_at_arrival")}
-    held_out = {"kind": "held-out", "data": {"name": "mine"}, "episodes": [3, 7], "imagined": errors, "baselines": {"staying": errors}}
-    ways = [line.split(" | ")[:4] for line in held_out_table([held_out, {"task": "reach"}]).splitlines() if "| mine" in line]
-    assert ways == [["| mine", "2", way, "0.25 (0.125)"] for way in ("imagined", "staying")]
+    held_out = {
+        "kind": "held-out",
+        "model": "run",
+        "data": {"name": "mine"},
+        "episodes": [3, 7],
+        "imagined": errors,
+        "baselines": {"staying": errors},
+    }
+    ways = [line.split(" | ")[:5] for line in held_out_table([held_out, {"task": "reach"}]).splitlines() if "| mine" in line]
+    assert ways == [["| mine", "run", "2", way, "0.25 (0.125)"] for way in ("imagined", "staying")]
     assert held_out_table([{"task": "reach"}]) == ""

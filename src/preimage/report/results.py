@@ -151,8 +151,8 @@ def held_out_table(found: Results) -> str:
         if one.get("kind") == "held-out":
             for way, errors in {"imagined": one["imagined"], **one["baselines"]}.items():
                 spread = [f"{errors[name]['mean']:.3g} ({errors[name]['median']:.3g})" for name in names]
-                rows.append([one["data"]["name"], f"{len(one['episodes'])}", way.replace("_", " "), *spread])
-    head = ["recordings", "episodes", "way", "joints at arrival", "joints on the way", "frame at arrival"]
+                rows.append([one["data"]["name"], one["model"], f"{len(one['episodes'])}", way.replace("_", " "), *spread])
+    head = ["recordings", "run", "held out", "way", "joints at arrival", "joints on the way", "frame at arrival"]
     told = "Mean (median) difference from what was recorded, joints in the unit of the data, frames in squared grey levels. No robot moved."
     return table("Recordings of real robots, held-out episodes", head, rows) + (f"\n\n{told}" if rows else "")
 
