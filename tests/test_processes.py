@@ -55,7 +55,7 @@ def work(rank: int, folder: Path) -> None:
             learned(case, crew)
         seen["left alone"] = True
     torch.save(seen, folder / f"{rank}.pt")
-    torch.distributed.destroy_process_group()
+    os._exit(0)  # without the way out of Python: threads of a broken connection may abort a process there
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +68,7 @@ def seen(tmp_path_factory) -> tuple[dict[str, Any], dict[str, Any]]:
     return first, second
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_two_processes_give_the_weights_of_one(seen, case):
     first, second = seen
@@ -75,11 +76,13 @@ def test_two_processes_give_the_weights_of_one(seen, case):
     assert torch.equal(first[f"{case} together"], second[f"{case} together"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["two then one", "one then two"])
 def test_a_checkpoint_moves_between_one_process_and_two(seen, way):
     torch.testing.assert_close(seen[0][way], seen[0]["latent alone"], rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_process_that_is_left_alone_says_so(seen):
     assert seen[0]["left alone"]
 
