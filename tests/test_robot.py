@@ -223,6 +223,7 @@ def test_the_links_never_touch_each_other(arm):
 def test_the_gripper_is_a_fifth_joint(handy):
     assert handy.joint_names == ("joint1", "joint2", "joint4", "joint6", "gripper")
     assert handy.joint_units == ("rad",) * 4 + ("m",)
+    assert (handy.joint_unit, Arm().joint_unit) == (None, "rad")
     assert handy.joint_limits.shape == (5, 2)
     assert handy.velocity_limits.shape == (5,)
     np.testing.assert_allclose(forward_kinematics(handy.home[:4]), HOME_M, atol=1e-9)

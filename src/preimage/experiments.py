@@ -137,7 +137,9 @@ def demonstrations_of(cell: Cell, work: Path, tell: TELL) -> list[Demonstration]
     folder = work / "data" / f"{cell.task}-{cell.num_demonstrations}"
     if not folder.exists():
         tell(f"recording {number_of(cell.num_demonstrations, 'demonstration')} of {cell.task}")
-        save(record(Arm(), TASKS[cell.task], count=cell.num_demonstrations, seed=0), folder, task=cell.task)
+        arm = Arm()
+        demonstrations = record(arm, TASKS[cell.task], count=cell.num_demonstrations, seed=0)
+        save(demonstrations, folder, task=cell.task, joint_unit=arm.joint_unit)
     return load(folder)
 
 

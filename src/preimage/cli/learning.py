@@ -41,8 +41,7 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0) -> None
         shown = progress.add_task("recording", total=count)
         arm = Arm()
         demonstrations = record(arm, TASKS[task], count=count, seed=seed, progress=lambda _done, _all: progress.advance(shown))
-    units = set(arm.joint_units)
-    save(demonstrations, out, task=task, joint_unit=units.pop() if len(units) == 1 else None)
+    save(demonstrations, out, task=task, joint_unit=arm.joint_unit)
     steps = sum(map(len, demonstrations))
     print(f"{number_of(count, 'demonstration')}, {number_of(steps, 'step')} at {TASKS[task].rate_hz:g} Hz, in {out}")
 

@@ -114,6 +114,12 @@ class Arm:
         return tuple("m" if name == GRIPPER else "rad" for name in self.joint_names)
 
     @property
+    def joint_unit(self) -> str | None:
+        """The unit that all joints share; None where a gripper is among them."""
+        units = set(self.joint_units)
+        return units.pop() if len(units) == 1 else None
+
+    @property
     def joint_limits(self) -> Float[np.ndarray, "J 2"]:
         """Smallest and largest value of each joint (rad; gripper: m)."""
         return np.vstack([JOINT_LIMITS, (0.0, GRIPPER_OPEN_M)]) if self._has_gripper else JOINT_LIMITS.copy()
