@@ -15,7 +15,7 @@ from preimage.dataset import fingerprint
 from preimage.held_out import Way, compare, errors_of, every_nth, lines_of, moments, never_shown, result_of_comparison, way_of, write_films
 from preimage.planning import PlanConfig
 from preimage.records import Percept, Plan, Shown, Stopped
-from preimage.report.results import evaluations_among
+from preimage.report.results import evaluations_among, held_out_table
 
 QUICK = ["--iterations", "1", "--horizon", "4"]
 
@@ -214,3 +214,18 @@ def test_nothing_to_compare_with_is_told(capsys, run_folder, data, words, senten
 
 def test_the_page_of_results_passes_over_comparisons(compared):
     assert not evaluations_among([result_of_comparison(compared, {"kind": "held-out", "task": "reach"})])
+
+
+def test_recordings_that_were_held_out_have_a_row_for_each_way():
+    errors = {name: {"mean": 0.25, "median": 0.125} for name in ("joints_at_arrival", "joints_on_the_way", "frame_at_arrival")}
+    held_out = {
+        "kind": "held-out",
+        "model": "run",
+        "data": {"name": "mine"},
+        "episodes": [3, 7],
+        "imagined": errors,
+        "baselines": {"staying": errors},
+    }
+    ways = [line.split(" | ")[:5] for line in held_out_table([held_out, {"task": "reach"}]).splitlines() if "| mine" in line]
+    assert ways == [["| mine", "run", "2", way, "0.25 (0.125)"] for way in ("imagined", "staying")]
+    assert held_out_table([{"task": "reach"}]) == ""

@@ -16,7 +16,6 @@ from preimage.records import Percept, Plan, Scene, Stopped, Trial
 from preimage.report import Case, figure, film, learning_curve, page
 from preimage.report.charts import GROWTH, growth_chart, intention_map
 from preimage.report.figures import DOTS_PER_INCH, WIDTH_INCHES
-from preimage.report.results import held_out_table
 
 WHITE_AFTER = 255
 
@@ -337,18 +336,3 @@ def test_charts_are_pictures(tmp_path):
     for path in (growth_chart(growth, tmp_path / "growth.png"), intention_map(recognition, tmp_path / "map.png")):
         with Image.open(path) as png:
             assert png.width == WIDTH_INCHES * DOTS_PER_INCH
-
-
-def test_recordings_that_were_held_out_have_a_row_for_each_way():
-    errors = {name: {"mean": 0.25, "median": 0.125} for name in ("joints_at_arrival", "joints_on_the_way", "frame_at_arrival")}
-    held_out = {
-        "kind": "held-out",
-        "model": "run",
-        "data": {"name": "mine"},
-        "episodes": [3, 7],
-        "imagined": errors,
-        "baselines": {"staying": errors},
-    }
-    ways = [line.split(" | ")[:5] for line in held_out_table([held_out, {"task": "reach"}]).splitlines() if "| mine" in line]
-    assert ways == [["| mine", "run", "2", way, "0.25 (0.125)"] for way in ("imagined", "staying")]
-    assert held_out_table([{"task": "reach"}]) == ""

@@ -24,10 +24,10 @@ import numpy as np
 from gymnasium.spaces import Box, Dict
 from jaxtyping import Float, UInt8
 
-from preimage.execution import limits_of
+from preimage.execution import Stage, limits_of
 from preimage.limits import Limiter
 from preimage.records import Demonstration
-from preimage.robot import TASKS, Arm, Witness, record
+from preimage.robot import TASKS, Arm, record
 
 ENCODER_MARGIN = 0.1
 """Joints are sensed at most this far beyond their limits (rad; gripper: m): stops give way a little."""
@@ -69,10 +69,8 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
         (self._shown,) = record(self._arm, self._task, count=1, seed=int(self.np_random.integers(2**31)))
         scene = self._shown.scene
         assert scene is not None, "the tutor of the simulated arm knows its scene"
-        self._scene = scene
-        self._task.lay_out(self._arm, scene)
+        self._stage = Stage(self._task, self._arm, scene)
         self._limiter = Limiter(limits_of(self._arm), np.array(scene.start_joints), 1 / self._task.rate_hz)
-        self._course: list[Witness] = [self._arm.witness()]
         return self._look(), self._judge()[1]
 
     def step(self, action: Float[np.ndarray, " J"]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -86,8 +84,7 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
         wanted = np.asarray(action, np.float64)
         if wanted.shape != self.action_space.shape or not np.isfinite(wanted).all():
             raise ValueError(f"action is {wanted.tolist()}: give {len(self._arm.joint_names)} finite joint angles")
-        self._arm.move(self._limiter.follow(wanted), 1 / self._task.rate_hz)
-        self._course.append(self._arm.witness())
+        self._stage.move(self._limiter.follow(wanted), 1 / self._task.rate_hz)
         solved, info = self._judge()
         return self._look(), float(solved), solved, False, info
 
@@ -97,7 +94,7 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
 
     def _look(self) -> Observation:
         assert self._shown is not None
-        percept = self._arm.sense()
+        percept = self._stage.percept
         assert percept.frame is not None
         assert percept.joints is not None
         self._frame = percept.frame
@@ -105,8 +102,8 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
 
     def _judge(self) -> tuple[bool, dict[str, Any]]:
         """Whether the scene is solved by the course so far, and all that the judge saw."""
-        judgement = self._task.judge(self._scene, self._course)
-        ends = [moment.end_effector_m for moment in self._course[-2:]]
+        judgement = self._stage.judge()
+        ends = [moment.end_effector_m for moment in self._stage.course[-2:]]
         solved = bool(judgement.success and len(ends) == 2 and np.linalg.norm(ends[1] - ends[0]) < REST_M)
         return solved, {"deviation_m": judgement.deviation_m, "success": bool(judgement.success), **judgement.details}
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from preimage.limits import Limiter, Limits, within_limits
 from preimage.records import Percept, Plan, Scene, Trial
-from preimage.robot import TASKS, Arm, Task
+from preimage.robot import TASKS, Arm, Judgement, Task
 
 SETTLE_S = 0.5
 """Time the arm is given to come to rest on the last set point before the task is judged."""
@@ -41,7 +41,7 @@ def play(joints: Float[np.ndarray, "T J"], rate_hz: float, arm: Arm, scene: Scen
     Raises:
         ValueError: the scene is of a task that is not known.
     """
-    stage = _Stage(task or task_of(scene), arm, scene)
+    stage = Stage(task or task_of(scene), arm, scene)
     from_here = np.vstack([np.array(scene.start_joints), joints[1:]])
     commands, limited = within_limits(from_here, limits_of(arm), period_s=1 / rate_hz)
     for command in commands[1:]:
@@ -72,7 +72,7 @@ def execute_open_loop(
     """
     if num_steps < 1:
         raise ValueError(f"num_steps is {num_steps}: ask the policy once or more")
-    stage = _Stage(task or task_of(scene), arm, scene)
+    stage = Stage(task or task_of(scene), arm, scene)
     limiter = Limiter(limits_of(arm), np.array(scene.start_joints), 1 / rate_hz)
     for _ in range(num_steps):
         wanted = np.asarray(policy(stage.percept))
@@ -98,13 +98,13 @@ def limits_of(arm: Arm) -> Limits:
     return Limits(arm.joint_names, arm.joint_units, arm.joint_limits[:, 0], arm.joint_limits[:, 1], arm.velocity_limits)
 
 
-class _Stage:
+class Stage:
     """A scene laid out for one trial, in which everything that happens is written down."""
 
     def __init__(self, task: Task, arm: Arm, scene: Scene) -> None:
         task.lay_out(arm, scene)
         self._task, self._arm, self._scene = task, arm, scene
-        self._percepts, self._course = [arm.sense()], [arm.witness()]
+        self._percepts, self.course = [arm.sense()], [arm.witness()]
 
     @property
     def percept(self) -> Percept:
@@ -115,16 +115,20 @@ class _Stage:
         """The arm went where it was commanded, and what it sensed then is kept."""
         self._arm.move(command, seconds)
         self._percepts.append(self._arm.sense())
-        self._course.append(self._arm.witness())
+        self.course.append(self._arm.witness())
+
+    def judge(self) -> Judgement:
+        """What the task says of the course so far."""
+        return self._task.judge(self._scene, self.course)
 
     def finish(self, command: Float[np.ndarray, " J"], limited: tuple[str, ...]) -> Trial:
         """The arm has come to rest at the last command, and the task has judged the course of it all."""
         self.move(command, SETTLE_S)
-        judgement = self._task.judge(self._scene, self._course)
+        judgement = self.judge()
         return Trial(
             frames=np.array([percept.frame for percept in self._percepts]),
             joints=np.array([percept.joints for percept in self._percepts]),
-            end_effector_m=np.array([moment.end_effector_m for moment in self._course]),
+            end_effector_m=np.array([moment.end_effector_m for moment in self.course]),
             deviation_m=judgement.deviation_m,
             success=judgement.success,
             scene=self._scene,

@@ -13,7 +13,7 @@ Files are written beside their place and then moved into it, so that a killed pr
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
@@ -142,10 +142,7 @@ def read_view(name: str | Path) -> View:
     Raises:
         ValueError: there is no such run, or its config.json is broken.
     """
-    folder = find_run(name)
-    if "view" in read_config(folder):
-        return read_settings(View, folder, "view")
-    return seen_by(read_settings(Sensors, folder, "sensors"))  # a run that was not trained by `preimage train`, or before it kept this
+    return kept_by(name, View, "view", seen_by)
 
 
 def read_body(name: str | Path) -> Body:
@@ -154,10 +151,15 @@ def read_body(name: str | Path) -> Body:
     Raises:
         ValueError: there is no such run, or its config.json is broken.
     """
+    return kept_by(name, Body, "body", lambda sensors: Body(sensors.joint_names))
+
+
+def kept_by(name: str | Path, record: type[Record], key: str, told_by: Callable[[Sensors], Record]) -> Record:
+    """What a run keeps under a key; of one that was not trained by `preimage train`, or before it kept this, what its sensors tell."""
     folder = find_run(name)
-    if "body" in read_config(folder):
-        return read_settings(Body, folder, "body")
-    return Body(read_settings(Sensors, folder, "sensors").joint_names)  # a run as in `read_view`
+    if key in read_config(folder):
+        return read_settings(record, folder, key)
+    return told_by(read_settings(Sensors, folder, "sensors"))
 
 
 def seen_by(sensors: Sensors) -> View:

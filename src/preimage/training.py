@@ -3,8 +3,8 @@
 Every update draws a few demonstrations, generates each from its own intention in closed loop, and lowers the prediction error of both
 modalities by Adam. A share of them may begin at a later step, drawn anew each time: what is wanted stays the same wherever the
 robot stands, so that the intention learns to hold where the way leads and leaves to the percept where it starts. What an update draws
-depends on the seed and its number alone, so that a training that was stopped and resumed gives
-the same weights, bit for bit on a CPU, as one that never stopped, and several processes those of one, to rounding (docs/many_machines.md).
+depends on the seed and its number alone, so that a training that was stopped and resumed gives the same weights, bit for bit on a CPU, as
+one that never stopped, and several processes those of one, to rounding (docs/many_machines.md).
 """
 
 import contextlib
