@@ -10,10 +10,10 @@ from preimage.training import TrainConfig
 LEAST = {
     **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every"), 1),
     **dict.fromkeys(("candidates", "guesses", "horizon", "dimensions", "intention_dimensions"), 1),
-    **dict.fromkeys(("rest_steps", "seed", "iterations", "intention_cost", "doubt"), 0),
+    **dict.fromkeys(("rest_steps", "seed", "iterations", "intention_cost", "doubt", "blur"), 0),
 }
 ABOVE_ZERO = "rate_hz", "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe"
-SHARES = "final_share", "open_loop_share", "later_starts"
+SHARES = "final_share", "open_loop_share", "later_starts", "blends"
 
 
 def refuse_out_of_range(config: ModelConfig | TrainConfig | PlanConfig) -> None:
@@ -27,3 +27,5 @@ def refuse_out_of_range(config: ModelConfig | TrainConfig | PlanConfig) -> None:
             raise ValueError(f"{option} is {value}: give a number above 0")
         if name in SHARES and not 0 <= value <= 1:
             raise ValueError(f"{option} is {value}: give a share between 0 and 1")
+        if name == "blends" and value == 1:
+            raise ValueError(f"{option} is {value}: give less than 1, so that some demonstrations are shown as they are")

@@ -14,8 +14,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from preimage.blurring import BLUR
 from preimage.coding import to_frames, to_pixels
-from preimage.first_guess import Library, first_guesses
+from preimage.first_guess import Library, expected_joints, first_guesses
 from preimage.intention import IntentionState, unflatten
 from preimage.model import PDVMRNN, Generated, Inputs, Sensed
 from preimage.prediction_error import Modalities, ToGoal, ToSequence
@@ -41,6 +42,10 @@ class PlanConfig(RegressionConfig):
     """Factor a step on the goal error when the arrival step is chosen (section II-D)."""
     rests: bool = True
     """Whether the goal is to be stayed in; without, it is enough to pass through it, as in the paper."""
+    blur: float = BLUR
+    """How coarsely the goal's picture is compared, in heights of a frame; 0: pixel by pixel, as in the paper."""
+    recalls: bool = True
+    """Whether a goal given as a picture is held to be reached with joints that go with such pictures in the model's memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +101,12 @@ def plan(
     config = config or PlanConfig()
     start = start or home(model)
     wanted = goal_inputs(model, goal, config.modalities)
-    objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests)
+    objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests, config.blur)
+    beyond_doubt = config.doubt * objective.start_to_goal
     if library is None or not library.begins_at(objective.start):
         library = imagine_library(model, start, config=config)
+    if config.recalls and config.modalities == "vision":
+        objective = replace(objective, expected=expected_joints(library, objective, model.coding))
 
     def from_start(intention: IntentionState, num_steps: int | None = None) -> Generated:
         return imagine(model, intention, objective.start, num_steps=num_steps or horizon_of(model, config), precision=config.precision)
@@ -107,7 +115,6 @@ def plan(
     guesses = first_guesses(library, objective, space.training, count=max(config.guesses, config.candidates))
     with torch.no_grad():
         guesses = guesses[objective.errors(from_start(space.intention(guesses)))[0].argsort()]
-    beyond_doubt = config.doubt * objective.start_to_goal
     tried: list[Regression] = []
     for some in filter(len, (guesses[: config.candidates], guesses[config.candidates :])):
         tried.append(regress_intention(space, some, from_start, objective, config=config))

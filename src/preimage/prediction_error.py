@@ -2,7 +2,7 @@
 
 Vision is a squared error summed over pixels, the motors a Kullback-Leibler divergence summed over joints, KL(target || predicted); the
 paper writes the arguments the other way round, see docs/paper.md. Frames of another size are charged as if they had 64x64 pixels, so
-that the balance of the two modalities does not depend on the camera.
+that the balance of the two modalities does not depend on the camera. Either may be compared coarsely (`blurring`).
 
 >>> import torch
 >>> error = torch.tensor([[9.0, 4.0, 4.0, 8.0]])
@@ -17,6 +17,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from preimage.blurring import blurred
+from preimage.coding import JointCoding
 from preimage.model import Generated, InputSequence, Sensed
 
 Modalities = Literal["vision", "joints", "both"]
@@ -32,9 +34,11 @@ def pixel_scale(frames: Float[Tensor, "*batch C H W"]) -> float:
     return REFERENCE_PIXELS / frames.shape[-3:].numel()
 
 
-def visual_error(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "*batch"]:
-    """Squared error summed over pixels, as of a frame of 64x64."""
-    return pixel_scale(target) * (predicted - target).square().sum((-1, -2, -3))
+def visual_error(
+    predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"], blur: float = 0.0
+) -> Float[Tensor, "*batch"]:
+    """Squared error summed over pixels, as of a frame of 64x64; of the blurred pictures where `blur` is not 0."""
+    return pixel_scale(target) * blurred(predicted - target, blur).square().sum((-1, -2, -3))
 
 
 def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Float[Tensor, "*#batch J K"]) -> Float[Tensor, "*batch"]:
@@ -42,9 +46,11 @@ def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Flo
     return (torch.special.xlogy(target, target) - target * log_predicted).sum((-1, -2))
 
 
-def visual_residuals(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "..."]:
+def visual_residuals(
+    predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"], blur: float = 0.0
+) -> Float[Tensor, "..."]:
     """Numbers whose squares sum to the weighted visual error."""
-    return (VISUAL_WEIGHT * pixel_scale(target)) ** 0.5 * (predicted - target)
+    return (VISUAL_WEIGHT * pixel_scale(target)) ** 0.5 * blurred(predicted - target, blur)
 
 
 def proprioceptive_residuals(
@@ -71,10 +77,11 @@ def sequence_error(
     pixels: Float[Tensor, "B T C H W"],
     codes: Float[Tensor, "B T J K"],
     mask: Float[Tensor, "B T"],
+    blur: float = 0.0,
 ) -> SequenceError:
     """Both modalities' errors against a full sequence (equation 1), averaged over the steps where mask is 1."""
     steps = mask.sum(1)
-    visual = (visual_error(generated.pixels, pixels) * mask).sum(1) / steps
+    visual = (visual_error(generated.pixels, pixels, blur) * mask).sum(1) / steps
     proprioceptive = (proprioceptive_error(generated.log_codes, codes) * mask).sum(1) / steps
     return SequenceError(visual, proprioceptive)
 
@@ -96,6 +103,25 @@ def resting_error(goal_error: Float[Tensor, "B T"]) -> Float[Tensor, "B T"]:
 
 
 @dataclass(frozen=True, eq=False)
+class ExpectedJoints:
+    """The joints that are expected at a goal of which only the picture is known: a Gaussian each."""
+
+    coding: JointCoding
+    mean: Float[Tensor, " J"]
+    """In the joints' units."""
+    deviation: Float[Tensor, " J"]
+
+    def error(self, generated: Generated) -> Float[Tensor, "B T"]:
+        """Half the squared distance in deviations, summed over joints: how unlikely the joints are (nats)."""
+        return self.residuals(generated).square().sum(-1)
+
+    def residuals(self, generated: Generated) -> Float[Tensor, "B T J"]:
+        """Numbers whose squares sum to the error."""
+        joints = self.coding.decode(generated.log_codes.to(self.mean.dtype).exp())
+        return (joints - self.mean) / self.deviation / 2**0.5
+
+
+@dataclass(frozen=True, eq=False)
 class ToGoal:
     """Equation 2: the first percept as observed, the goal at the step that shows it best, and, where it rests, from then on."""
 
@@ -105,6 +131,10 @@ class ToGoal:
     delay_penalty: float = 1.01
     rests: bool = True
     """Whether the goal is to be stayed in. In passing, a hand above the table can look like one on it."""
+    blur: float = 0.0
+    """How coarsely the goal's picture is compared, in heights of a frame (`blurring`)."""
+    expected: ExpectedJoints | None = None
+    """What more the joints are charged for at the goal, where its picture alone is known."""
 
     def start_error(self, generated: Generated) -> Float[Tensor, " B"]:
         """The start's part: the first predicted percept against the one observed, both modalities."""
@@ -114,15 +144,18 @@ class ToGoal:
 
     def goal_error(self, generated: Generated) -> Float[Tensor, "B T"]:
         """The goal's part at every imagined step: vision, joints or both."""
-        pixels, codes = self.goal
-        visual = VISUAL_WEIGHT * visual_error(generated.pixels, pixels)
-        felt = proprioceptive_error(generated.log_codes, codes)
-        error = {"vision": visual, "joints": felt, "both": visual + felt}[self.modalities]
+        error = torch.zeros(generated.pixels.shape[:2]).to(generated.pixels)
+        if self.modalities != "joints":
+            error = error + VISUAL_WEIGHT * visual_error(generated.pixels, self.goal[0], self.blur)
+        if self.modalities != "vision":
+            error = error + proprioceptive_error(generated.log_codes, self.goal[1])
+        if self.expected:
+            error = error + self.expected.error(generated)
         return resting_error(error) if self.rests else error
 
     @property
     def start_to_goal(self) -> float:
-        """The goal's part of the error of staying at the start: how much there is to be explained."""
+        """The goal's part of the error of staying at the start, as sensed: how much there is to be explained."""
         pixels, codes = self.start
         staying = Generated(pixels[None, None], codes.clamp(min=1e-12).log()[None, None])
         return float(self.goal_error(staying)[0, 0])
@@ -139,13 +172,15 @@ class ToGoal:
         steps = torch.arange(num_steps, device=aims.device)
         counts = steps >= aims[:, None] if self.rests else steps == aims[:, None]
         shares = (counts / counts.sum(1, keepdim=True)).sqrt().to(generated.pixels.dtype)  # (B, T)
-        visual = visual_residuals(generated.pixels, self.goal[0]) * shares[..., None, None, None]
-        felt = proprioceptive_residuals(generated.log_codes, self.goal[1]) * shares[..., None, None]
-        parts = [
-            visual_residuals(generated.pixels[:, 0], self.start[0]),
-            proprioceptive_residuals(generated.log_codes[:, 0], self.start[1]),
-        ]
-        parts += {"vision": [visual], "joints": [felt], "both": [visual, felt]}[self.modalities]
+        parts: list[Tensor] = []
+        if self.modalities != "joints":
+            parts.append(visual_residuals(generated.pixels, self.goal[0], self.blur) * shares[..., None, None, None])
+        if self.modalities != "vision":
+            parts.append(proprioceptive_residuals(generated.log_codes, self.goal[1]) * shares[..., None, None])
+        if self.expected:
+            parts.append(self.expected.residuals(generated).to(shares.dtype) * shares[..., None])
+        parts.append(visual_residuals(generated.pixels[:, 0], self.start[0]))
+        parts.append(proprioceptive_residuals(generated.log_codes[:, 0], self.start[1]))
         return torch.cat([part.flatten(1) for part in parts], dim=1)
 
     def steps_until(self, aims: Int[Tensor, " B"]) -> int | None:

@@ -140,7 +140,7 @@ class Places:
         return Places(self.points[rows], self.error[rows], self.aims[rows], self.residuals[rows])
 
 
-DAMPINGS = (1e-3, 0.03, 1.0)
+DAMPINGS = (0.03, 1.0, 30.0)
 """Shares of the mean curvature that are added to it: how far each of the leaps goes that are tried side by side."""
 BEHIND = 1.3
 """A candidate whose error is more than this many times the lowest after a leap is dropped."""

@@ -8,6 +8,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -71,6 +72,13 @@ class Sequences:
     def mask(self) -> Float[Tensor, "N T"]:
         """1 where a step counts: the recorded steps and the first few of rest."""
         return (torch.arange(self.frames.shape[1]) < self.lengths[:, None] + self.rest_steps).float()
+
+    @cached_property
+    def alike(self) -> Int[Tensor, "N others"]:
+        """For each sequence the others, that whose joints are most like its own, step by step, first."""
+        sizes = (self.joints.amax((0, 1)) - self.joints.amin((0, 1))).clamp(min=1e-6)
+        ways = (self.joints / sizes).flatten(1)
+        return torch.cdist(ways, ways).fill_diagonal_(-1).argsort(1)[:, 1:]
 
     def begun_at(self, rows: Int[Tensor, " B"], steps: Int[Tensor, " B"]) -> "Sequences":
         """Some of them, each from a step of its own on, padded to the same length."""

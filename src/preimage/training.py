@@ -2,7 +2,8 @@
 
 Every update draws a few demonstrations, generates each from its own intention in closed loop, and lowers the prediction error of both
 modalities by Adam. A share of them may begin at a later step, drawn anew each time: what is wanted stays the same wherever the
-robot stands, so that the intention learns to hold where the way leads and leaves to the percept where it starts. What an update draws
+robot stands, so that the intention learns to hold where the way leads and leaves to the percept where it starts. Another share are blends
+of alike demonstrations (`blending`), so that what lies between them is learned as well. What an update draws
 depends on the seed and its number alone, so that a training that was stopped and resumed gives the same weights, bit for bit on a CPU, as
 one that never stopped, and several processes those of one, to rounding (docs/many_machines.md).
 """
@@ -19,9 +20,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from preimage.blending import draw_blends
+from preimage.blurring import BLUR
 from preimage.coding import to_pixels
 from preimage.intention import IntentionState, IntentionTable
 from preimage.memory import keep_freed_memory
@@ -56,6 +59,8 @@ class TrainConfig:
     """Share of the sensed percept in the network's input: 0 closed loop, 1 open loop."""
     later_starts: float = 0.0
     """Share of an update's sequences that begin at a later step of their demonstration, under the same intention."""
+    blends: float = 0.0
+    """Share of an update's sequences that are blends of alike demonstrations (`blending`); less than 1."""
     rest_steps: int = 30
     """Steps of rest after a demonstration's end that count: the arm learns to stay at the goal."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
@@ -94,9 +99,9 @@ class Progress:
     update: int
     updates: int
     visual: float
-    """Squared error of a frame, summed over pixels, mean of the batch."""
+    """Squared error of a frame, summed over pixels, mean of the demonstrations of the batch, its blends aside."""
     proprioceptive: float
-    """KL of the joint codes, summed over joints, mean of the batch (nats)."""
+    """KL of the joint codes, summed over joints, likewise (nats)."""
     seconds: float = field(compare=False)
     """Wall time of the update."""
 
@@ -221,10 +226,13 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     model, optimiser = learner.model, learner.optimiser
     rows = batch_of(learner.update, len(sequences), config)
     generator = torch.Generator().manual_seed(config.seed * 1_000_003 + learner.update)
-    intention, charge = model.intention_table.draw(rows, generator)
+    blends = draw_blends(rows, sequences.alike, config.blends, generator)
+    parts, charges = model.intention_table.draw(blends.rows.flatten(), generator)
+    intention, charge = blends.intention(parts), charges.view_as(blends.rows)[:, 0]
     steps = begin_steps(sequences.lengths[rows], config, generator)
     mine = crew.share(len(rows))
-    error = error_of(model, intention[mine], sequences.begun_at(rows[mine], steps[mine]), config)
+    shown = blends[mine].sequences(sequences, steps[mine])
+    error = error_of(model, intention[mine], shown, blends.blended[mine], config)
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
@@ -235,7 +243,7 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     refuse_non_finite(learner, error, charge, norm, run)
     optimiser.step()
     learner.update += 1
-    visual, proprioceptive = error.visual.mean().item(), error.proprioceptive.mean().item()
+    visual, proprioceptive = (each[~blends.blended].mean().item() for each in (error.visual, error.proprioceptive))
     told = Progress(learner.update, config.updates, visual, proprioceptive, time.perf_counter() - began)
     if run:
         with (run / "log.jsonl").open("a") as log:
@@ -249,13 +257,17 @@ def begin_steps(lengths: Int[Tensor, " B"], config: TrainConfig, generator: torc
     return (where * lengths).long() * (later < config.later_starts)
 
 
-def error_of(model: PDVMRNN, intention: IntentionState, sequences: Sequences, config: TrainConfig) -> SequenceError:
-    """Generate the sequences from their intentions and compare."""
+def error_of(
+    model: PDVMRNN, intention: IntentionState, sequences: Sequences, blended: Bool[Tensor, " B"], config: TrainConfig
+) -> SequenceError:
+    """Generate the sequences from their intentions and compare, the pictures of blends coarsely."""
     device = model.pixel_bias.device
-    pixels, codes = to_pixels(sequences.frames.to(device)), model.coding.encode(sequences.joints.to(device))
-    dtype = getattr(torch, config.precision)
-    generated = model.generate_open_loop(intention, (pixels, codes), share=config.open_loop_share, dtype=dtype)
-    return sequence_error(generated, pixels, codes, sequences.mask.to(device))
+    pixels = to_pixels(sequences.frames.to(device))
+    codes = model.coding.encode(sequences.joints.to(device).clamp(model.coding.lower, model.coding.upper))
+    mask, blended = sequences.mask.to(device), blended.to(device)
+    generated = model.generate_open_loop(intention, (pixels, codes), share=config.open_loop_share, dtype=getattr(torch, config.precision))
+    error, coarse = (sequence_error(generated, pixels, codes, mask, blur) for blur in (0, BLUR))
+    return SequenceError(torch.where(blended, coarse.visual, error.visual), error.proprioceptive)
 
 
 def error_of_all(error: SequenceError, mine: Int[Tensor, " S"], count: int, crew: Crew) -> SequenceError:
