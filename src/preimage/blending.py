@@ -48,7 +48,7 @@ class Blends:
         frames = self._blend(parts.frames.float()).round().clamp(0, 255).to(parts.frames.dtype)
         return Sequences(frames, self._blend(parts.joints), lengths, sequences.rest_steps)
 
-    def _blend(self, values: Shaped[Tensor, "parts *shape"]) -> Float[Tensor, "B *shape"]:
+    def _blend(self, values: Shaped[Tensor, "parts ..."]) -> Float[Tensor, "B ..."]:
         parts = values.unflatten(0, self.rows.shape)
         return torch.einsum("bp...,bp->b...", parts, self.weights.to(parts))
 

@@ -1,8 +1,8 @@
-"""Where a search for a goal begins, and what it may expect there: both from what the model imagines for its training intentions, the library.
+"""Where a search for a goal begins, and which joints it expects there: both from the library, what a model imagines for its training.
 
 The nearer the search begins, the fewer iterations it needs and the fewer valleys lie between. The picture of an arm a little further to
-the left is not between the pictures of two arms; the intention of the way there is, nearly, between their intentions, and so are the joints
-in which it ends. What is recalled (`recall`) is the first of the guesses, and the joints are held to be likely ones.
+the left is not between the pictures of two arms; the intention of the way there is, nearly, between their intentions, and so are the
+joints in which it ends. What is recalled (`recall`) is the first of the guesses, and other joints than the recalled ones cost.
 """
 
 from dataclasses import dataclass
@@ -41,9 +41,11 @@ def expected_joints(library: Library, objective: ToGoal, coding: JointCoding) ->
     ends, wanted = end_features(library.imagined, objective.goal, objective.modalities)
     recalled = recall(wanted, ends, coding.decode(library.imagined.log_codes[:, -1].exp()))
     finest = FINEST * (coding.upper - coding.lower)
-    return ExpectedJoints(coding, recalled.mean, recalled.deviation.maximum(finest))
+    return ExpectedJoints(coding, recalled.mean, WIDER * recalled.deviation.maximum(finest))
 
 
+WIDER = 3.0
+"""Expectations are so many times wider than how well memory tells its own: a goal is photographed, memory is imagined."""
 FINEST = 0.005
 """Share of a joint's range below which no expectation is sharper: a code does not tell it more finely."""
 

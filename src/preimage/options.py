@@ -10,7 +10,7 @@ from preimage.training import TrainConfig
 LEAST = {
     **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every"), 1),
     **dict.fromkeys(("candidates", "guesses", "horizon", "dimensions", "intention_dimensions"), 1),
-    **dict.fromkeys(("rest_steps", "seed", "iterations", "intention_cost", "doubt", "blur"), 0),
+    **dict.fromkeys(("rest_steps", "seed", "iterations", "intention_cost", "doubt"), 0),
 }
 ABOVE_ZERO = "rate_hz", "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe"
 SHARES = "final_share", "open_loop_share", "later_starts", "blends"

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from preimage.blurring import BLUR
 from preimage.coding import to_frames, to_pixels
 from preimage.first_guess import Library, expected_joints, first_guesses
 from preimage.intention import IntentionState, unflatten
@@ -33,7 +32,7 @@ class PlanConfig(RegressionConfig):
     modalities: Modalities = "vision"
     """The modalities of the goal that are used; the rest of a goal percept is not looked at."""
     guesses: int = 8
-    """First guesses that are imagined; the best of them, `candidates`, are regressed, all the others if the plan is in doubt then."""
+    """First guesses, the recalled one before all; as many as `candidates` are regressed, the others if the plan is in doubt then."""
     doubt: float = 0.15
     """A plan is in doubt while its error is above this share of the error of staying at the start."""
     horizon: int | None = None
@@ -42,8 +41,6 @@ class PlanConfig(RegressionConfig):
     """Factor a step on the goal error when the arrival step is chosen (section II-D)."""
     rests: bool = True
     """Whether the goal is to be stayed in; without, it is enough to pass through it, as in the paper."""
-    blur: float = BLUR
-    """How coarsely the goal's picture is compared, in heights of a frame; 0: pixel by pixel, as in the paper."""
     recalls: bool = True
     """Whether a goal given as a picture is held to be reached with joints that go with such pictures in the model's memory."""
 
@@ -101,7 +98,7 @@ def plan(
     config = config or PlanConfig()
     start = start or home(model)
     wanted = goal_inputs(model, goal, config.modalities)
-    objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests, config.blur)
+    objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests)
     beyond_doubt = config.doubt * objective.start_to_goal
     if library is None or not library.begins_at(objective.start):
         library = imagine_library(model, start, config=config)
@@ -113,8 +110,6 @@ def plan(
 
     space = model.intention_table.space(config.dimensions)
     guesses = first_guesses(library, objective, space.training, count=max(config.guesses, config.candidates))
-    with torch.no_grad():
-        guesses = guesses[objective.errors(from_start(space.intention(guesses)))[0].argsort()]
     tried: list[Regression] = []
     for some in filter(len, (guesses[: config.candidates], guesses[config.candidates :])):
         tried.append(regress_intention(space, some, from_start, objective, config=config))

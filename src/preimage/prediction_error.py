@@ -2,7 +2,7 @@
 
 Vision is a squared error summed over pixels, the motors a Kullback-Leibler divergence summed over joints, KL(target || predicted); the
 paper writes the arguments the other way round, see docs/paper.md. Frames of another size are charged as if they had 64x64 pixels, so
-that the balance of the two modalities does not depend on the camera. Either may be compared coarsely (`blurring`).
+that the balance of the two modalities does not depend on the camera. Pictures may be compared coarsely (`blurring`).
 
 >>> import torch
 >>> error = torch.tensor([[9.0, 4.0, 4.0, 8.0]])
@@ -46,11 +46,9 @@ def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Flo
     return (torch.special.xlogy(target, target) - target * log_predicted).sum((-1, -2))
 
 
-def visual_residuals(
-    predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"], blur: float = 0.0
-) -> Float[Tensor, "..."]:
+def visual_residuals(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "..."]:
     """Numbers whose squares sum to the weighted visual error."""
-    return (VISUAL_WEIGHT * pixel_scale(target)) ** 0.5 * blurred(predicted - target, blur)
+    return (VISUAL_WEIGHT * pixel_scale(target)) ** 0.5 * (predicted - target)
 
 
 def proprioceptive_residuals(
@@ -131,8 +129,6 @@ class ToGoal:
     delay_penalty: float = 1.01
     rests: bool = True
     """Whether the goal is to be stayed in. In passing, a hand above the table can look like one on it."""
-    blur: float = 0.0
-    """How coarsely the goal's picture is compared, in heights of a frame (`blurring`)."""
     expected: ExpectedJoints | None = None
     """What more the joints are charged for at the goal, where its picture alone is known."""
 
@@ -146,7 +142,7 @@ class ToGoal:
         """The goal's part at every imagined step: vision, joints or both."""
         error = torch.zeros(generated.pixels.shape[:2]).to(generated.pixels)
         if self.modalities != "joints":
-            error = error + VISUAL_WEIGHT * visual_error(generated.pixels, self.goal[0], self.blur)
+            error = error + VISUAL_WEIGHT * visual_error(generated.pixels, self.goal[0])
         if self.modalities != "vision":
             error = error + proprioceptive_error(generated.log_codes, self.goal[1])
         if self.expected:
@@ -174,7 +170,7 @@ class ToGoal:
         shares = (counts / counts.sum(1, keepdim=True)).sqrt().to(generated.pixels.dtype)  # (B, T)
         parts: list[Tensor] = []
         if self.modalities != "joints":
-            parts.append(visual_residuals(generated.pixels, self.goal[0], self.blur) * shares[..., None, None, None])
+            parts.append(visual_residuals(generated.pixels, self.goal[0]) * shares[..., None, None, None])
         if self.modalities != "vision":
             parts.append(proprioceptive_residuals(generated.log_codes, self.goal[1]) * shares[..., None, None])
         if self.expected:
