@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from preimage.first_guess import expected_joints
 from preimage.intention import unflatten
 from preimage.model import PDVMRNN, Generated, InputSequence, ModelConfig
-from preimage.planning import PlanConfig, as_inputs, follow, imagine, join, plan, plan_in_turn, recognise
-from preimage.prediction_error import ToGoal, ToSequence
+from preimage.planning import PlanConfig, as_inputs, follow, imagine, imagine_library, join, plan, plan_in_turn, recognise
+from preimage.prediction_error import ExpectedJoints, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Places, leaps_from, learn_from_leap, regress_intention
 from preimage.training import TrainConfig, train
@@ -85,6 +86,27 @@ def test_residuals_are_the_error_near_the_goal(model: PDVMRNN, modalities: str) 
     error, arrival = goal.errors(near)
     assert arrival.item() == 1
     assert goal.residuals(near, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
+
+
+def test_expected_joints_are_charged_by_their_distance_in_deviations(model: PDVMRNN) -> None:
+    goal = objective(model)
+    pixels, codes = (torch.stack(parts)[None] for parts in zip(goal.start, goal.goal, strict=True))
+    there = Generated(pixels, codes.log())
+    joints = model.coding.decode(goal.goal[1])
+    expected = ExpectedJoints(model.coding, joints + torch.tensor([0.2, -0.1]), torch.tensor([0.1, 0.1]))
+    charged, free = replace(goal, expected=expected), goal
+    assert (charged.goal_error(there) - free.goal_error(there))[0, 1].item() == pytest.approx(2.5, rel=0.02)
+    error, arrival = charged.errors(there)
+    assert arrival.item() == 1
+    assert charged.residuals(there, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
+
+
+def test_memory_expects_the_joints_of_a_goal_between_the_demonstrations(model: PDVMRNN) -> None:
+    shown = bar(0.8)
+    goal = objective(model)
+    goal = replace(goal, goal=as_inputs(model, shown.last, name="goal"))
+    expected = expected_joints(imagine_library(model, shown.first, config=CONFIG), goal, model.coding)
+    assert expected.mean.numpy() == pytest.approx(shown.joints[-1], abs=0.08)
 
 
 def test_residuals_of_a_sequence_are_its_error(model: PDVMRNN) -> None:
