@@ -59,11 +59,14 @@ def draw_blends(rows: Int[Tensor, " B"], alike: Int[Tensor, "N K"], share: float
     Args:
         alike: for each demonstration the others, the most alike first.
     """
+    num_blends = int(share * len(rows))
+    if num_blends == 0:
+        return Blends(rows[:, None], torch.ones(len(rows), 1))
     near = alike[:, :NEIGHBOURS]
     parts = min(PARTS, near.shape[1] + 1)
     others = torch.rand(len(rows), near.shape[1], generator=generator).argsort(1)[:, : parts - 1]
     even = torch.rand(len(rows), parts, generator=generator).clamp(min=1e-9).log()
     even = even / even.sum(1, keepdim=True)  # evenly over the triangle
     weights = 1 / parts + REACH * (even - 1 / parts)
-    weights[: len(rows) - int(share * len(rows))] = torch.eye(parts)[0]
+    weights[: len(rows) - num_blends] = torch.eye(parts)[0]
     return Blends(torch.cat([rows[:, None], near[rows].gather(1, others)], 1), weights)
