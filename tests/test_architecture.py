@@ -33,6 +33,7 @@ ORDER = [
     "hub",
     "runs",
     "processes",
+    "interrupts",
     "training",
     "cloning",
     "regression",

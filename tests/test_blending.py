@@ -7,8 +7,6 @@ from preimage.blending import REACH, Blends, draw_blends
 from preimage.intention import IntentionState
 from preimage.sequences import Sequences
 
-ALIKE = torch.tensor([[1, 2, 3], [0, 2, 3], [1, 3, 0], [2, 1, 0]])
-
 
 def sequences() -> Sequences:
     draw = torch.Generator().manual_seed(0)
@@ -19,7 +17,7 @@ def sequences() -> Sequences:
 @pytest.mark.parametrize(("share", "num_blends"), [(0.0, 0), (0.5, 2), (0.9, 3)])
 def test_a_share_of_the_sequences_are_blends_of_different_demonstrations(share: float, num_blends: int) -> None:
     rows = torch.tensor([3, 1, 0, 2])
-    blends = draw_blends(rows, ALIKE, share, torch.Generator().manual_seed(0))
+    blends = draw_blends(rows, sequences(), share, torch.Generator().manual_seed(0))
     assert int(blends.blended.sum()) == num_blends
     assert torch.equal(blends.rows[:, 0], rows)
     assert all(len(set(parts)) == (3 if num_blends else 1) for parts in blends.rows.tolist())
@@ -28,7 +26,7 @@ def test_a_share_of_the_sequences_are_blends_of_different_demonstrations(share: 
 
 def test_blends_reach_as_far_beyond_their_demonstrations_as_they_should() -> None:
     rows = torch.zeros(4000, dtype=torch.long)
-    weights = draw_blends(rows, ALIKE, 0.999, torch.Generator().manual_seed(0)).weights[-3996:]
+    weights = draw_blends(rows, sequences(), 0.999, torch.Generator().manual_seed(0)).weights[-3996:]
     assert weights.min().item() == pytest.approx((1 - REACH) / 3, abs=0.02)
     assert weights.mean(0) == pytest.approx(torch.full((3,), 1 / 3).numpy(), abs=0.02)
 
@@ -56,9 +54,10 @@ def test_a_blend_is_the_weighted_mean_of_its_parts() -> None:
 
 
 def test_a_single_demonstration_has_nothing_to_be_blended_with() -> None:
-    blends = draw_blends(torch.tensor([0]), torch.zeros(1, 0, dtype=torch.long), 0.9, torch.Generator().manual_seed(0))
-    assert blends.rows.tolist() == [[0]]
-    assert blends.weights.tolist() == [[1.0]]
+    alone = Sequences(torch.zeros(1, 6, 8, 8, 1, dtype=torch.uint8), torch.zeros(1, 6, 2), torch.tensor([6]), rest_steps=0)
+    blends = draw_blends(torch.tensor([0, 0]), alone, 0.5, torch.Generator().manual_seed(0))
+    assert blends.rows.tolist() == [[0], [0]]
+    assert blends.weights.tolist() == [[1.0], [1.0]]
 
 
 def test_the_most_alike_come_first() -> None:

@@ -53,16 +53,12 @@ class Blends:
         return torch.einsum("bp...,bp->b...", parts, self.weights.to(parts))
 
 
-def draw_blends(rows: Int[Tensor, " B"], alike: Int[Tensor, "N K"], share: float, generator: torch.Generator) -> Blends:
-    """Blend the last of these demonstrations, a share of them, each with some of those most alike; leave the others as they are.
-
-    Args:
-        alike: for each demonstration the others, the most alike first.
-    """
+def draw_blends(rows: Int[Tensor, " B"], sequences: Sequences, share: float, generator: torch.Generator) -> Blends:
+    """Blend the last of these demonstrations, a share of them, each with some of those most alike; leave the others as they are."""
     num_blends = int(share * len(rows))
     if num_blends == 0:
         return Blends(rows[:, None], torch.ones(len(rows), 1))
-    near = alike[:, :NEIGHBOURS]
+    near = sequences.alike[:, :NEIGHBOURS]
     parts = min(PARTS, near.shape[1] + 1)
     others = torch.rand(len(rows), near.shape[1], generator=generator).argsort(1)[:, : parts - 1]
     even = torch.rand(len(rows), parts, generator=generator).clamp(min=1e-9).log()

@@ -2,7 +2,7 @@
 
 Recognition compares every step of a sequence that was sensed. Planning knows the two ends alone: what is sensed now and what is wanted.
 When the goal is reached is open, so each iteration looks for the step that shows it best, the arrival step. The search begins at the
-training intentions whose imagined percepts come nearest to the goal (`regression` goes on from there).
+intention that is recalled for the goal (`first_guess`; `regression` goes on from there).
 """
 
 import time

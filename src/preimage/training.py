@@ -3,18 +3,15 @@
 Every update draws a few demonstrations, generates each from its own intention in closed loop, and lowers the prediction error of both
 modalities by Adam. A share of them may begin at a later step, drawn anew each time: what is wanted stays the same wherever the
 robot stands, so that the intention learns to hold where the way leads and leaves to the percept where it starts. Another share are blends
-of alike demonstrations (`blending`), so that what lies between them is learned as well. What an update draws
-depends on the seed and its number alone, so that a training that was stopped and resumed gives the same weights, bit for bit on a CPU, as
-one that never stopped, and several processes those of one, to rounding (docs/many_machines.md).
+of alike demonstrations (`blending`), so that what lies between them is learned as well. What an update draws depends on the seed and its
+number alone, so that a training that was stopped and resumed gives the same weights, bit for bit on a CPU, as one that never stopped, and
+several processes those of one, to rounding (docs/many_machines.md).
 """
 
-import contextlib
 import json
 import math
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -27,6 +24,7 @@ from preimage.blending import draw_blends
 from preimage.blurring import BLUR
 from preimage.coding import to_pixels
 from preimage.intention import IntentionState, IntentionTable
+from preimage.interrupts import saved_on_interrupt
 from preimage.memory import keep_freed_memory
 from preimage.model import PDVMRNN, ModelConfig
 from preimage.prediction_error import SequenceError, sequence_error
@@ -226,7 +224,7 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     model, optimiser = learner.model, learner.optimiser
     rows = batch_of(learner.update, len(sequences), config)
     generator = torch.Generator().manual_seed(config.seed * 1_000_003 + learner.update)
-    blends = draw_blends(rows, sequences.alike, config.blends, generator)
+    blends = draw_blends(rows, sequences, config.blends, generator)
     parts, charges = model.intention_table.draw(blends.rows.flatten(), generator)
     intention, charge = blends.intention(parts), charges.view_as(blends.rows)[:, 0]
     steps = begin_steps(sequences.lengths[rows], config, generator)
@@ -264,10 +262,13 @@ def error_of(
     device = model.pixel_bias.device
     pixels = to_pixels(sequences.frames.to(device))
     codes = model.coding.encode(sequences.joints.to(device).clamp(model.coding.lower, model.coding.upper))
-    mask, blended = sequences.mask.to(device), blended.to(device)
+    mask = sequences.mask.to(device)
     generated = model.generate_open_loop(intention, (pixels, codes), share=config.open_loop_share, dtype=getattr(torch, config.precision))
-    error, coarse = (sequence_error(generated, pixels, codes, mask, blur) for blur in (0, BLUR))
-    return SequenceError(torch.where(blended, coarse.visual, error.visual), error.proprioceptive)
+    error = sequence_error(generated, pixels, codes, mask)
+    if not blended.any():
+        return error
+    coarse = sequence_error(generated, pixels, codes, mask, BLUR)
+    return SequenceError(torch.where(blended.to(device), coarse.visual, error.visual), error.proprioceptive)
 
 
 def error_of_all(error: SequenceError, mine: Int[Tensor, " S"], count: int, crew: Crew) -> SequenceError:
@@ -288,27 +289,6 @@ def refuse_non_finite(learner: Learner, error: SequenceError, charge: Tensor, no
     if run:
         write_json(run / "non_finite.json", {"update": learner.update + 1, "tensor": name})
     raise NonFinite(text)
-
-
-@contextlib.contextmanager
-def saved_on_interrupt() -> Iterator[Callable[[], bool]]:
-    """Turn Ctrl-C and SIGTERM into a request to stop after the running update; a second Ctrl-C stops at once."""
-    requested: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
-
-    def request(number: int, _frame: object) -> None:
-        if requested:
-            raise KeyboardInterrupt
-        requested.append(number)
-
-    before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: bool(requested)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def open_run(folder: Path, learner: Learner, config: TrainConfig, about: dict[str, Any], resume: bool) -> Path:
