@@ -15,6 +15,7 @@ ORDER = [
     "coding",
     "blurring",
     "memory",
+    "devices",
     "robot",
     "view",
     "pictures",

@@ -19,10 +19,12 @@ from torch.utils.flop_counter import FlopCounterMode
 from preimage.memory import keep_freed_memory
 from preimage.model import PDVMRNN, ModelConfig, Sensors
 from preimage.planning import PlanConfig, imagine_library, plan
-from preimage.prediction_error import sequence_error
+from preimage.processes import CPU
 from preimage.records import Percept
 from preimage.robot import TASKS, Arm, record
 from preimage.runs import load_model
+from preimage.sequences import Sequences
+from preimage.training import Learner, TrainConfig, error_of, optimiser_of
 
 ARM = Sensors(64, 64, 1, ("yaw", "shoulder", "elbow", "wrist"), (-1.0,) * 4, (1.0,) * 4)
 PEER = Sensors(48, 64, 1, ("pan", "tilt"), (-1.0,) * 2, (1.0,) * 2)
@@ -46,14 +48,13 @@ class Work:
     dtype: torch.dtype = torch.bfloat16
 
 
-def bench(*, device: str = "cpu", quick: bool = False, tell: Callable[[str], None] = print) -> dict[str, Any]:
+def bench(place: torch.device = CPU, *, quick: bool = False, tell: Callable[[str], None] = print) -> dict[str, Any]:
     """All figures, ready for JSON.
 
     Args:
-        device: cpu or cuda.
+        place: what is measured.
         quick: leave out the paper's size and the growth.
     """
-    place = torch.device(device)
     keep_freed_memory()
     limits = {name: limit_gflops(place, dtype) for name, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16))}
     tell(f"limit: {limits['fp32']:.0f} GFLOP/s in float32, {limits['bf16']:.0f} in bfloat16")
@@ -72,11 +73,12 @@ def bench(*, device: str = "cpu", quick: bool = False, tell: Callable[[str], Non
 
 
 def limit_gflops(place: torch.device, dtype: torch.dtype) -> float:
-    """The most that was seen: a product of 1024 x 1024 matrices, or a 3x3 convolution of the paper's second level."""
-    one, other = (torch.randn(1024, 1024, device=place).to(dtype) for _ in range(2))
+    """The most that was seen: a product of square matrices that are large for the device, or a 3x3 convolution of the paper's second level."""
+    size = 8192 if place.type == "cuda" else 1024
+    one, other = (torch.randn(size, size, device=place).to(dtype) for _ in range(2))
     maps = torch.randn(10, 160, 16, 16, device=place).to(dtype, memory_format=torch.channels_last)
     weight = torch.randn(320, 160, 3, 3, device=place).to(dtype, memory_format=torch.channels_last)
-    product = 2 * 1024**3 / fastest(lambda: one @ other, place)
+    product = 2 * size**3 / fastest(lambda: one @ other, place)
     convolution = 2 * weight.numel() * maps.shape[0] * 256 / fastest(lambda: nn.functional.conv2d(maps, weight, padding=1), place)
     return round(max(product, convolution) / 1e9, 1)
 
@@ -100,27 +102,27 @@ def flops_of_step(model: PDVMRNN) -> int:
 
     Counted are matrix products and convolutions, a multiplication and an addition as two.
     """
-    with FlopCounterMode(display=False) as counter, torch.no_grad():
-        model.generate_closed_loop(model.intention_table.prior_mean(1), blank(model, 1), num_steps=1)
+    start = model.home_pixels[None], model.coding.encode(model.home_joints)[None]
+    with FlopCounterMode(display=False) as counter:  # with gradients, though none are taken: without, a GPU would replay what is counted
+        model.generate_closed_loop(model.intention_table.prior_mean(1), start, num_steps=1)
     return counter.get_total_flops()
 
 
-def blank(model: PDVMRNN, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    pixels, codes = model.home_pixels, model.coding.encode(model.home_joints)
-    return pixels.expand(count, *pixels.shape), codes.expand(count, *codes.shape)
-
-
 def update_of(work: Work, place: torch.device) -> tuple[PDVMRNN, Callable[[], None]]:
-    """A network, and the forward and backward of a batch; the optimiser's step is left out, it is small."""
+    """A network, and the forward and backward of a batch as training does them; the optimiser's step is left out, it is small."""
     model = PDVMRNN(work.config, work.sensors, work.batch).to(place)
-    start, mask = blank(model, work.batch), torch.ones(work.batch, work.steps, device=place)
-    pixels, codes = (part[:, None].expand(work.batch, work.steps, *part.shape[1:]) for part in start)
+    config = TrainConfig(precision="bfloat16" if work.dtype == torch.bfloat16 else "float32")
+    learner = Learner(model, optimiser_of(model, config))
+    sensors, shape = work.sensors, (work.batch, work.steps)
+    frames = torch.full((*shape, sensors.height, sensors.width, sensors.channels), 127, dtype=torch.uint8)
+    sequences = Sequences(frames, torch.zeros(*shape, sensors.num_joints), torch.full((work.batch,), work.steps), rest_steps=0)
+    rows, blended = torch.arange(work.batch), torch.zeros(work.batch, dtype=torch.bool)
     generator = torch.Generator().manual_seed(0)
 
     def once() -> None:
-        intention, charge = model.intention_table.draw(torch.arange(work.batch), generator)
-        generated = model.generate_closed_loop(intention, start, num_steps=work.steps, dtype=work.dtype)
-        (sequence_error(generated, pixels, codes, mask).total + charge).mean().backward()
+        model.zero_grad()
+        intention, charge = model.intention_table.draw(rows, generator)
+        (error_of(learner, intention, sequences, blended, config).total + charge).mean().backward()
 
     return model, once
 

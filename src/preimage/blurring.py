@@ -29,13 +29,13 @@ def blurred(pictures: Float[Tensor, "*batch C H W"], blur: float) -> Float[Tenso
         return pictures
     height, width = pictures.shape[-2:]
     deviation = blur * height
-    rows, columns = (smoothing(size, deviation).to(pictures) for size in (height, width))
+    rows, columns = (smoothing(size, deviation, pictures.device).to(pictures) for size in (height, width))
     return rows @ pictures @ columns.T
 
 
-def smoothing(size: int, deviation: float) -> Float[Tensor, "kept size"]:
+def smoothing(size: int, deviation: float, device: torch.device) -> Float[Tensor, "kept size"]:
     """The matrix that smooths a row of pixels and keeps one of as many as the largest power of two below the deviation (pixels)."""
     step = 2 ** max(0, int(math.log2(deviation)))
-    kept = torch.arange(0, size, step) + step / 2
-    distance = (torch.arange(size) + 0.5 - kept[:, None]) / deviation
+    kept = torch.arange(0, size, step, device=device) + step / 2
+    distance = (torch.arange(size, device=device) + 0.5 - kept[:, None]) / deviation
     return torch.exp(-distance.square() / 2) * step**0.5 / (deviation * math.tau**0.5)

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from preimage.coding import JointCoding, to_pixels
 from preimage.model import Inputs, Sensors
 from preimage.prediction_error import proprioceptive_error
+from preimage.processes import CPU
 from preimage.records import Demonstration, Percept
 from preimage.sequences import pad, sensors_of
 
@@ -65,21 +66,29 @@ class Clone(nn.Module):
         return to_pixels(torch.from_numpy(np.ascontiguousarray(percept.frame)).to(self.coding.centres.device))[None]
 
 
-def clone(demonstrations: Sequence[Demonstration], *, rate_hz: float, updates: int = 3000, batch_size: int = 64, seed: int = 0) -> Clone:
+def clone(
+    demonstrations: Sequence[Demonstration],
+    *,
+    rate_hz: float,
+    updates: int = 3000,
+    batch_size: int = 64,
+    seed: int = 0,
+    place: torch.device = CPU,
+) -> Clone:
     """Learn to do what the demonstrations did next, at the rate at which it will be asked."""
     sequences = pad(demonstrations, rate_hz=rate_hz, rest_steps=4)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        policy = Clone(sensors_of(demonstrations))
+        policy = Clone(sensors_of(demonstrations)).to(place)
     generator = torch.Generator().manual_seed(seed)
-    pixels, joints = to_pixels(sequences.frames), sequences.joints
+    pixels, joints = to_pixels(sequences.frames.to(place)), sequences.joints.to(place)
     before = (sequences.mask[:, 1:] > 0).nonzero()  # (pairs, 2): sequence, step
     scale = NOISE_SHARE * (policy.coding.upper - policy.coding.lower)
     optimiser = torch.optim.Adam(policy.parameters(), lr=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, updates)
     for _ in range(updates):
         row, step = before[torch.randint(len(before), (batch_size,), generator=generator)].T
-        sensed = joints[row, step] + scale * torch.randn(batch_size, len(scale), generator=generator)
+        sensed = joints[row, step] + scale * torch.randn(batch_size, len(scale), generator=generator).to(place)
         predicted = policy((pixels[row, step], policy.coding.encode(sensed)), pixels[row, -1])
         loss = proprioceptive_error(predicted, policy.coding.encode(joints[row, step + 1])).mean()
         optimiser.zero_grad()

@@ -15,12 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from preimage.cloning import clone
 from preimage.dataset import fingerprint, load, save
 from preimage.evaluation import Loop, evaluate, result_of
 from preimage.model import PDVMRNN, ModelConfig
 from preimage.planning import PlanConfig, recognise
+from preimage.processes import CPU, Crew
 from preimage.provenance import provenance
 from preimage.records import Demonstration
 from preimage.robot import TASKS, Arm, record
@@ -103,7 +105,15 @@ def cells_of(table: str, size: str) -> list[Cell]:
     return tables[table]
 
 
-def reproduce(cells: Sequence[Cell], *, work: Path, out: Path, tell: TELL, progress: Callable[[Progress], None] | None = None) -> None:
+def reproduce(
+    cells: Sequence[Cell],
+    *,
+    place: torch.device = CPU,
+    work: Path,
+    out: Path,
+    tell: TELL,
+    progress: Callable[[Progress], None] | None = None,
+) -> None:
     """Every cell's JSON files are in `out`; what is there already is not made again.
 
     Raises:
@@ -115,7 +125,7 @@ def reproduce(cells: Sequence[Cell], *, work: Path, out: Path, tell: TELL, progr
             tell(f"{cell.name}: done before")
             continue
         demonstrations = demonstrations_of(cell, work, tell)
-        model = model_of(cell, demonstrations, work, tell, progress)
+        model = model_of(cell, demonstrations, place, work, tell, progress)
         for name, job in missing.items():
             tell(f"{cell.name}: {name}")
             write_json(out / f"{cell.name}-{name}.json", job(model, demonstrations))
@@ -146,7 +156,12 @@ def demonstrations_of(cell: Cell, work: Path, tell: TELL) -> list[Demonstration]
 
 
 def model_of(
-    cell: Cell, demonstrations: list[Demonstration], work: Path, tell: TELL, progress: Callable[[Progress], None] | None
+    cell: Cell,
+    demonstrations: list[Demonstration],
+    place: torch.device,
+    work: Path,
+    tell: TELL,
+    progress: Callable[[Progress], None] | None,
 ) -> PDVMRNN:
     """The cell's trained model; a training that was stopped goes on."""
     run = work / "runs" / cell.name
@@ -157,7 +172,7 @@ def model_of(
     elif run.exists():
         shutil.rmtree(run)  # it was stopped before its first checkpoint
     if finished:
-        return load_model(run)
+        return load_model(run).to(place)
     tell(f"{cell.name}: training")
     about = {
         "size": cell.size,
@@ -166,9 +181,10 @@ def model_of(
         "data": {"name": f"{cell.task}-{cell.num_demonstrations}", "fingerprint": fingerprint(demonstrations)},
         "provenance": provenance(),
     }
-    train(demonstrations, network_of(cell), config=config, folder=run, resume=begun, about=about, progress=progress)
+    crew = Crew(device=place)
+    train(demonstrations, network_of(cell), config=config, folder=run, resume=begun, about=about, progress=progress, crew=crew)
     write_card(run)
-    return load_model(run)
+    return load_model(run).to(place)
 
 
 def network_of(cell: Cell) -> ModelConfig:
@@ -196,7 +212,11 @@ def evaluation_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration
     policies = {}
     if loop == cell.loops[0]:  # a baseline has no loop: once is enough
         policies["behaviour_cloning"] = clone(
-            demonstrations, rate_hz=model.config.rate_hz, updates=2 * learning_of(cell).updates, seed=cell.seed
+            demonstrations,
+            rate_hz=model.config.rate_hz,
+            updates=2 * learning_of(cell).updates,
+            seed=cell.seed,
+            place=model.home_pixels.device,
         ).policy_to
     began, reached = time.perf_counter(), [0, 0]
 

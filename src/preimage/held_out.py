@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float, Shaped, UInt8
 
 from preimage.dataset import fingerprint, load
@@ -133,11 +134,19 @@ def compare(
 
 
 def compare_run(
-    run: str, data: Path, *, out: Path, film_folder: Path | None, config: PlanConfig, progress: Callable[[int, int], None]
+    run: str,
+    data: Path,
+    *,
+    out: Path,
+    film_folder: Path | None,
+    place: torch.device,
+    config: PlanConfig,
+    progress: Callable[[int, int], None],
 ) -> list[str]:
     """Compare a run with the episodes of a data set that it was not trained on, and write the result as JSON and a few films.
 
     Args:
+        place: what computes.
         progress: called after each episode with the number done and the number of all.
 
     Returns:
@@ -147,7 +156,7 @@ def compare_run(
         ValueError: there is no such run or data set, they do not fit together, or every episode was trained on.
     """
     folder = find_run(run)
-    model, shown, recorded = load_model(folder), read_shown(folder), load(data, view=read_view(folder))
+    model, shown, recorded = load_model(folder).to(place), read_shown(folder), load(data, view=read_view(folder))
     episodes = never_shown(recorded, shown)
     if not episodes:
         raise ValueError(f"{run} was trained on every episode of {data}: train with --hold-out 4, or give other recordings")

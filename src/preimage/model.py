@@ -22,7 +22,7 @@ percept 1 for t = 1, since the robot rests before it starts.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import torch
 from jaxtyping import Float
@@ -30,7 +30,8 @@ from torch import Tensor, nn
 
 from preimage.cells import LSTM, ConvLSTM, Down, Lateral, Linear, State, Up
 from preimage.coding import JointCoding
-from preimage.intention import FreeTable, IntentionState, IntentionTable, LatentTable
+from preimage.devices import Recorded
+from preimage.intention import FreeTable, IntentionState, IntentionTable, LatentTable, unflatten
 
 Inputs = tuple[Float[Tensor, "B C H W"], Float[Tensor, "B J K"]]
 """What enters the lowest level at one step: pixels in [-1, 1] and joint codes."""
@@ -133,6 +134,7 @@ class PDVMRNN(nn.Module):
     def __init__(self, config: ModelConfig, sensors: Sensors, num_sequences: int = 1, seed: int = 0) -> None:
         super().__init__()
         self.config, self.sensors = config, sensors
+        self._recorded: dict[tuple[int, int, torch.dtype], Recorded] = {}
         check_sizes(config, sensors)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
@@ -250,7 +252,32 @@ class PDVMRNN(nn.Module):
         Args:
             dtype: precision of the layers' arithmetic; by default that of the weights.
         """
+        dtype = dtype or self.pixel_bias.dtype
+        if self.pixel_bias.is_cuda and not torch.is_grad_enabled():
+            return self._replay_closed_loop(intention, start, num_steps, dtype)
         return self._generate(intention, start, num_steps, lambda step, predicted: predicted, dtype)
+
+    def _replay_closed_loop(self, intention: IntentionState, start: Inputs, num_steps: int, dtype: torch.dtype) -> Generated:
+        """The same on a GPU, recorded at the first call for so many sequences, up to the next power of two."""
+        count = len(intention)
+        room = 1 << (count - 1).bit_length()
+        rows = torch.arange(room, device=self.pixel_bias.device).clamp(max=count - 1)
+        inputs = [part[rows] for part in (intention.flatten(), *start)]
+        shapes = {name: self.state_shapes[name] for name in intention.layers}
+
+        def work(intentions: Tensor, pixels: Tensor, codes: Tensor) -> tuple[Tensor, Tensor]:
+            begun = unflatten(intentions, shapes), (pixels, codes)
+            generated = self._generate(*begun, num_steps, lambda step, predicted: predicted, dtype)
+            return generated.pixels, generated.log_codes
+
+        key = room, num_steps, dtype
+        if key not in self._recorded:
+            self._recorded[key] = Recorded(work, inputs)
+        return Generated(*(each[:count] for each in self._recorded[key](*inputs)))
+
+    def _apply(self, *how: Any, **more: Any) -> Self:
+        self._recorded.clear()  # it reads the weights where they were
+        return super()._apply(*how, **more)
 
     def generate_open_loop(
         self,

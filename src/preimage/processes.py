@@ -18,6 +18,8 @@ import torch
 from jaxtyping import Int
 from torch import Tensor, distributed, nn
 
+from preimage.devices import Device, place_of
+
 Told = TypeVar("Told")
 
 CPU = torch.device("cpu")
@@ -98,28 +100,30 @@ def lost_is_told() -> Iterator[None]:
         raise ProcessLost(text) from error.with_traceback(None)  # whose frames may hold the connection past its end
 
 
-def gather(*, devices: int, num_nodes: int) -> Crew:
+def gather(*, devices: int, num_nodes: int, device: Device = "auto") -> Crew:
     """Start the other processes with the words of this one, unless torchrun or Slurm has, and join them.
-
-    With a GPU for every process of a machine each takes one, otherwise all take the CPU.
 
     Args:
         devices: processes on each machine.
         num_nodes: machines.
+        device: what each computes on; auto: a GPU of its own where there is one for every process of a machine, otherwise the CPU.
 
     Raises:
-        ValueError: lightning-fabric is missing, or another number of processes was started.
+        ValueError: lightning-fabric is missing, another number of processes was started, or there are too few GPUs.
     """
     if min(devices, num_nodes) < 1:
         raise ValueError(f"--devices is {devices} and --num-nodes {num_nodes}: give 1 or more")
     if devices * num_nodes == 1 and not distributed.is_torchelastic_launched():
-        return Crew()
+        return Crew(device=place_of(device))
     try:
         from lightning_fabric import Fabric  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ValueError("several processes need lightning-fabric: pip install 'preimage[many]'") from error
     logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
-    accelerator = "cuda" if torch.cuda.device_count() >= devices else "cpu"
+    enough = torch.cuda.device_count() >= devices
+    if device == "cuda" and not enough:
+        raise ValueError(f"--device is cuda, and there are {torch.cuda.device_count()} for --devices {devices}: give fewer, or cpu")
+    accelerator = "cuda" if enough and device != "cpu" else "cpu"
     try:
         fabric = Fabric(accelerator=accelerator, devices=devices, num_nodes=num_nodes, strategy="ddp")
         fabric.launch()

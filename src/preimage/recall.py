@@ -40,6 +40,7 @@ def recall(wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], values: 
     points, targets = features.double(), torch.cat([values, values.new_zeros(1, values.shape[1])]).double()
     distances = torch.cdist(points, points).square()
     asked = torch.cdist(wanted[None].double(), points).square()
+    distances, asked, targets = (each.cpu() for each in (distances, asked, targets))  # matrices too small for a GPU
     unit = distances[distances > 0].median() if bool((distances > 0).any()) else distances.new_ones(())
     tried: list[tuple[float, Recalled]] = []
     for scale in SCALES:

@@ -17,13 +17,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 
 from preimage.blending import draw_blends
 from preimage.blurring import BLUR
 from preimage.coding import to_pixels
-from preimage.intention import IntentionState, IntentionTable
+from preimage.devices import recorded_with_gradients
+from preimage.intention import IntentionState, IntentionTable, unflatten
 from preimage.interrupts import saved_on_interrupt
 from preimage.memory import keep_freed_memory
 from preimage.model import PDVMRNN, ModelConfig
@@ -80,6 +81,8 @@ class Learner:
     model: PDVMRNN
     optimiser: torch.optim.Optimizer
     update: int = 0
+    batch_error: Callable[..., tuple[Tensor, ...]] | None = None
+    """`BatchError`, recorded at the first batch."""
 
     def state(self) -> dict[str, Any]:
         return {"update": self.update, "model": self.model.state_dict(), "optimiser": self.optimiser.state_dict()}
@@ -230,7 +233,7 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     steps = begin_steps(sequences.lengths[rows], config, generator)
     mine = crew.share(len(rows))
     shown = blends[mine].sequences(sequences, steps[mine])
-    error = error_of(model, intention[mine], shown, blends.blended[mine], config)
+    error = error_of(learner, intention[mine], shown, blends.blended[mine], config)
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
@@ -255,20 +258,46 @@ def begin_steps(lengths: Int[Tensor, " B"], config: TrainConfig, generator: torc
     return (where * lengths).long() * (later < config.later_starts)
 
 
+class BatchError(nn.Module):
+    """Generate a batch from its intentions and compare, the pictures of blends coarsely: a function of tensors, to be recorded."""
+
+    def __init__(self, model: PDVMRNN, config: TrainConfig) -> None:
+        super().__init__()
+        self.model, self.config = model, config
+
+    def forward(
+        self,
+        intention: Float[Tensor, "B D"],
+        frames: UInt8[Tensor, "B T H W C"],
+        joints: Float[Tensor, "B T J"],
+        mask: Float[Tensor, "B T"],
+        blended: Bool[Tensor, " B"],
+    ) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
+        """The visual and the proprioceptive error of each sequence."""
+        model, config = self.model, self.config
+        pixels, codes = to_pixels(frames), model.coding.encode(joints.clamp(model.coding.lower, model.coding.upper))
+        generated = model.generate_open_loop(
+            unflatten(intention, model.intention_table.shapes),
+            (pixels, codes),
+            share=config.open_loop_share,
+            dtype=getattr(torch, config.precision),
+        )
+        error = sequence_error(generated, pixels, codes, mask)
+        if not config.blends:
+            return error.visual, error.proprioceptive
+        coarse = sequence_error(generated, pixels, codes, mask, BLUR)
+        return torch.where(blended, coarse.visual, error.visual), error.proprioceptive
+
+
 def error_of(
-    model: PDVMRNN, intention: IntentionState, sequences: Sequences, blended: Bool[Tensor, " B"], config: TrainConfig
+    learner: Learner, intention: IntentionState, sequences: Sequences, blended: Bool[Tensor, " B"], config: TrainConfig
 ) -> SequenceError:
-    """Generate the sequences from their intentions and compare, the pictures of blends coarsely."""
-    device = model.pixel_bias.device
-    pixels = to_pixels(sequences.frames.to(device))
-    codes = model.coding.encode(sequences.joints.to(device).clamp(model.coding.lower, model.coding.upper))
-    mask = sequences.mask.to(device)
-    generated = model.generate_open_loop(intention, (pixels, codes), share=config.open_loop_share, dtype=getattr(torch, config.precision))
-    error = sequence_error(generated, pixels, codes, mask)
-    if not blended.any():
-        return error
-    coarse = sequence_error(generated, pixels, codes, mask, BLUR)
-    return SequenceError(torch.where(blended.to(device), coarse.visual, error.visual), error.proprioceptive)
+    """The errors of a batch, by what was recorded at the first one."""
+    given = sequences.frames, sequences.joints, sequences.mask, blended
+    inputs = [intention.flatten(), *(each.to(learner.model.pixel_bias.device) for each in given)]
+    if learner.batch_error is None:
+        learner.batch_error = recorded_with_gradients(BatchError(learner.model, config), inputs)
+    return SequenceError(*learner.batch_error(*inputs))
 
 
 def error_of_all(error: SequenceError, mine: Int[Tensor, " S"], count: int, crew: Crew) -> SequenceError:

@@ -10,6 +10,7 @@ from tyro.conf import Positional
 
 from preimage import demo as demonstration_of_it_all
 from preimage.cli.screen import bar
+from preimage.devices import Device, place_of
 from preimage.execution import execute
 from preimage.limits import commands_of, limits_seen, read_limits
 from preimage.options import refuse_out_of_range
@@ -50,6 +51,7 @@ def plan_(
     start: str | None = None,
     goal_joints: tuple[float, ...] | None = None,
     joint_limits: Path | None = None,
+    device: Device = "cpu",
     config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
 ) -> None:
     """Imagine a way to a goal, or to several in a row.
@@ -62,12 +64,13 @@ def plan_(
         start: where the start comes from, likewise; by default the mean start of the demonstrations.
         goal_joints: joint angles of the goal (rad), for --modalities joints or both.
         joint_limits: JSON of what may be commanded, joint by joint: lower, upper, velocity or step; by default what was demonstrated.
+        device: what computes; of a small network the CPU has a plan before a GPU has made ready.
         config: how the plan is searched for.
     """
     refuse_out_of_range(config)
     refuse_useless_joints(goal_joints, num_goals=len(goal), modalities=config.modalities)
     folder = find_run(run)  # once, so that all parts of a run on the Hub are of one revision
-    model, view, body = load_model(folder), read_view(folder), read_body(folder)
+    model, view, body = load_model(folder).to(place_of(device)), read_view(folder), read_body(folder)
     limits = limits_seen(model.sensors, read_shown(folder), unit=body.joint_unit)
     if joint_limits:
         limits = read_limits(joint_limits, limits, rate_hz=model.config.rate_hz)

@@ -9,6 +9,7 @@ from tyro.conf import Positional
 
 from preimage.cli.screen import bar, known_task
 from preimage.dataset import fingerprint, open_recordings, read_episodes, save
+from preimage.devices import Device
 from preimage.examination import examine
 from preimage.experiments import SIZES
 from preimage.held_out import every_nth
@@ -69,6 +70,7 @@ def train_(
     out: Path,
     size: Literal["tiny", "small", "paper"] = "small",
     resume: bool = False,
+    device: Device = "auto",
     devices: int = 1,
     num_nodes: int = 1,
     hold_out: int = 0,
@@ -86,7 +88,8 @@ def train_(
         out: run folder to write.
         size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
         resume: go on with the run in `out`, with the sizes, settings and held-out episodes it was started with.
-        devices: processes on this machine that share every update, each on a GPU of its own where there are as many.
+        device: what computes; auto is a GPU where there is one, or one for each of the devices.
+        devices: processes on this machine that share every update.
         num_nodes: machines with as many processes each, started by torchrun or Slurm.
         hold_out: every Nth episode is not trained on but kept for `preimage evaluate --data`; 0 trains on all.
         rate_hz: steps a second that the model runs at, instead of the size's own.
@@ -109,7 +112,7 @@ def train_(
     demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
     about = {"size": size, "num_demonstrations": len(demonstrations), "data": learned_from}
     about |= {"view": asdict(opened.view), "body": asdict(opened.body), "task": task_of(demonstrations), "provenance": provenance()}
-    crew = gather(devices=devices, num_nodes=num_nodes)
+    crew = gather(devices=devices, num_nodes=num_nodes, device=device)
     with bar(shown=crew.first) as progress:
         shown = progress.add_task("training", total=config.updates)
 

@@ -5,12 +5,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import torch
 import tyro
 from tyro.conf import Positional
 
 from preimage.bench import bench
 from preimage.cli.screen import bar, console, known_task
+from preimage.devices import Device, place_of
 from preimage.evaluation import Evaluated, Loop, evaluate, result_of
 from preimage.experiments import cells_of, paper_of, reproduce
 from preimage.held_out import compare_run
@@ -33,6 +33,7 @@ def evaluate_(
     goals: int = 100,
     seed: int = 5000,
     loop: Loop = "closed",
+    device: Device = "auto",
     config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
 ) -> None:
     """Count how often plans to goals that were never shown arrive, beside what luck would give.
@@ -48,16 +49,17 @@ def evaluate_(
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
         loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from what the tutor saw.
+        device: what computes; auto is a GPU where there is one.
         config: how the plans are searched for.
     """
     known_task(task)
     refuse_out_of_range(config)
     if data is not None:
-        return compare_with(data, run, out, films, config)
+        return compare_with(data, run, out, films, device, config)
     if films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     folder = find_run(run)
-    model, learned_from, made = load_model(folder), read_shown(folder), made_from(folder)
+    model, learned_from, made = load_model(folder).to(place_of(device)), read_shown(folder), made_from(folder)
     about = {"task": task, "model": run} | made
     about |= {"seed": seed, "loop": loop, "paper": paper_of(task, made["num_demonstrations"], loop)}
     about |= {"plan": asdict(config), "provenance": provenance()}
@@ -80,7 +82,7 @@ def evaluate_(
         print(summary(name, baseline))
 
 
-def compare_with(data: Path, run: str, out: Path, films: Path | None, config: PlanConfig) -> None:
+def compare_with(data: Path, run: str, out: Path, films: Path | None, device: Device, config: PlanConfig) -> None:
     """The part of `evaluate` that needs no simulator."""
     with bar() as progress:
         shown = progress.add_task("planning", total=None)
@@ -88,7 +90,7 @@ def compare_with(data: Path, run: str, out: Path, films: Path | None, config: Pl
         def tell(done: int, of_all: int) -> None:
             progress.update(shown, completed=done, total=of_all)
 
-        lines = compare_run(run, data, out=out, film_folder=films, config=config, progress=tell)
+        lines = compare_run(run, data, out=out, film_folder=films, place=place_of(device), config=config, progress=tell)
     print("\n".join(lines))
 
 
@@ -97,6 +99,7 @@ def reproduce_(
     size: Literal["tiny", "small", "paper"] = "small",
     seeds: int = 3,
     demonstrations: tuple[int, ...] = (100, 50, 25),
+    device: Device = "auto",
     work: Path = Path("runs/reproduce"),
     out: Path = Path("results"),
 ) -> None:
@@ -107,6 +110,7 @@ def reproduce_(
         size: of the network.
         seeds: how many of the three training seeds.
         demonstrations: which numbers of demonstrations.
+        device: what computes; auto is a GPU where there is one.
         work: folder for demonstrations and runs.
         out: folder for a JSON file a cell.
     """
@@ -122,7 +126,7 @@ def reproduce_(
                 print(text, file=sys.stderr, flush=True)
 
         chosen = [cell for cell in cells_of(table, size) if cell.seed < seeds and cell.num_demonstrations in demonstrations]
-        reproduce(chosen, work=work, out=out, tell=tell, progress=learn)
+        reproduce(chosen, place=place_of(device), work=work, out=out, tell=tell, progress=learn)
     print(f"{len(chosen)} cells are in {out}; `preimage report` makes the page of them")
 
 
@@ -138,7 +142,7 @@ def report_(results: Path = Path("results"), out: Path = Path("docs/results.md")
     fill_readme(results, readme)
 
 
-def bench_(out: Path = Path("results/bench.json"), device: Literal["cpu", "cuda"] = "cpu", quick: bool = False) -> None:
+def bench_(out: Path = Path("results/bench.json"), device: Device = "cpu", quick: bool = False) -> None:
     """Measure speed beside the machine's own limit.
 
     Args:
@@ -146,9 +150,7 @@ def bench_(out: Path = Path("results/bench.json"), device: Literal["cpu", "cuda"
         device: what to measure.
         quick: leave out the paper's size and the growth of planning time.
     """
-    if device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("--device is cuda, and there is none on this machine: give cpu")
-    write_json(out, bench(device=device, quick=quick) | {"provenance": provenance()})
+    write_json(out, bench(place_of(device), quick=quick) | {"provenance": provenance()})
     print(f"wrote {out}; `preimage report` draws it")
 
 
