@@ -16,10 +16,10 @@ import torch
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
+from preimage.devices import CPU, chip_of
 from preimage.memory import keep_freed_memory
 from preimage.model import PDVMRNN, ModelConfig, Sensors
 from preimage.planning import PlanConfig, imagine_library, plan
-from preimage.processes import CPU
 from preimage.records import Percept
 from preimage.robot import TASKS, Arm, record
 from preimage.runs import load_model
@@ -58,7 +58,7 @@ def bench(place: torch.device = CPU, *, quick: bool = False, tell: Callable[[str
     keep_freed_memory()
     limits = {name: limit_gflops(place, dtype) for name, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16))}
     tell(f"limit: {limits['fp32']:.0f} GFLOP/s in float32, {limits['bf16']:.0f} in bfloat16")
-    result: dict[str, Any] = {"device": name_of(place), "threads": torch.get_num_threads(), "limit_gflops": limits}
+    result: dict[str, Any] = {"device": chip_of(place), "threads": torch.get_num_threads(), "limit_gflops": limits}
     works = {"small": Work(ModelConfig.small()), "peer": Work(PEER_CONFIG, PEER, batch=2, steps=80, dtype=torch.float32)}
     if not quick:
         works["paper"] = Work(ModelConfig.paper(), steps=60)
@@ -73,7 +73,7 @@ def bench(place: torch.device = CPU, *, quick: bool = False, tell: Callable[[str
 
 
 def limit_gflops(place: torch.device, dtype: torch.dtype) -> float:
-    """The most that was seen: a product of square matrices that are large for the device, or a 3x3 convolution of the paper's second level."""
+    """The most that was seen: a product of matrices that are large for the device, or a 3x3 convolution of the paper's second level."""
     size = 8192 if place.type == "cuda" else 1024
     one, other = (torch.randn(size, size, device=place).to(dtype) for _ in range(2))
     maps = torch.randn(10, 160, 16, 16, device=place).to(dtype, memory_format=torch.channels_last)
@@ -215,10 +215,6 @@ def growth(place: torch.device, tell: Callable[[str], None]) -> dict[str, dict[s
     for name, seconds in grown.items():
         tell(f"growth with {name}: {', '.join(f'{n}: {s:.2f} s' for n, s in seconds.items())}")
     return grown
-
-
-def name_of(place: torch.device) -> str:
-    return torch.cuda.get_device_name(place) if place.type == "cuda" else "cpu"
 
 
 def peak_memory_mb(place: torch.device) -> float:

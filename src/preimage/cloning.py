@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from preimage.coding import JointCoding, to_pixels
+from preimage.devices import CPU
 from preimage.model import Inputs, Sensors
 from preimage.prediction_error import proprioceptive_error
-from preimage.processes import CPU
 from preimage.records import Demonstration, Percept
 from preimage.sequences import pad, sensors_of
 

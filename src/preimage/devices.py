@@ -10,6 +10,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+CPU = torch.device("cpu")
 Device = Literal["auto", "cpu", "cuda"]
 """auto: a GPU where there is one."""
 
@@ -24,6 +25,11 @@ def place_of(device: Device) -> torch.device:
     if device == "cuda" and not there:
         raise ValueError("--device is cuda, and there is none on this machine: give cpu, or auto")
     return torch.device("cuda" if there and device != "cpu" else "cpu")
+
+
+def chip_of(place: torch.device) -> str:
+    """The chip's name, as results tell it."""
+    return torch.cuda.get_device_name(place) if place.type == "cuda" else "cpu"
 
 
 class Recorded:
@@ -51,5 +57,7 @@ def recorded_with_gradients(work: nn.Module, inputs: Sequence[Tensor]) -> Callab
     """Work with gradients, to be called with inputs of these shapes; recorded where they lie on a GPU, as it is elsewhere."""
     if not inputs[0].is_cuda:
         return work
+    # The recording keeps nodes of the stream it was made on: one wait an update, and torch, where it can, warns of it.
+    getattr(torch.autograd.graph, "set_warn_on_accumulate_grad_stream_mismatch", bool)(False)
     samples = tuple(each.detach().clone().requires_grad_(each.requires_grad) for each in inputs)
-    return torch.cuda.make_graphed_callables(work, samples, allow_unused_input=True)
+    return torch.cuda.make_graphed_callables(work, samples, allow_unused_input=True)  # pyright: ignore[reportReturnType]

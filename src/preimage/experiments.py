@@ -19,10 +19,11 @@ import torch
 
 from preimage.cloning import clone
 from preimage.dataset import fingerprint, load, save
+from preimage.devices import CPU
 from preimage.evaluation import Loop, evaluate, result_of
 from preimage.model import PDVMRNN, ModelConfig
 from preimage.planning import PlanConfig, recognise
-from preimage.processes import CPU, Crew
+from preimage.processes import Crew
 from preimage.provenance import provenance
 from preimage.records import Demonstration
 from preimage.robot import TASKS, Arm, record
@@ -179,7 +180,7 @@ def model_of(
         "task": cell.task,
         "num_demonstrations": len(demonstrations),
         "data": {"name": f"{cell.task}-{cell.num_demonstrations}", "fingerprint": fingerprint(demonstrations)},
-        "provenance": provenance(),
+        "provenance": provenance(place),
     }
     crew = Crew(device=place)
     train(demonstrations, network_of(cell), config=config, folder=run, resume=begun, about=about, progress=progress, crew=crew)
@@ -236,7 +237,7 @@ def evaluation_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration
         "paper": paper_of(cell.task, cell.num_demonstrations, loop),
         "plan": asdict(PlanConfig()),
         "training_seconds": training_seconds(run),
-        "provenance": provenance(),
+        "provenance": provenance(model.home_pixels.device),
     }
     return result_of(evaluated, about)
 
@@ -265,7 +266,7 @@ def recognition_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstratio
         "map": {"training": flat(table), "novel": flat(places["novel"])},
         "goals_m": {"training": goals_of(demonstrations), "novel": goals_of(novel)},
         "neighbours": rank_correlation(places["novel"], goals_of(novel)),
-        "provenance": provenance(),
+        "provenance": provenance(model.home_pixels.device),
     }
 
 
@@ -307,4 +308,4 @@ def modalities_of(cell: Cell, model: PDVMRNN, _: list[Demonstration], *, work: P
             "pixel_error_mean": round(float(np.mean([np.abs(p.frames[t].astype(float) - goal.frame).mean() for p, t, goal in arrived])), 3),
             "joint_error_rad_mean": round(float(np.mean([np.abs(p.joints[t] - goal.joints).mean() for p, t, goal in arrived])), 4),
         }
-    return asdict(cell) | {"seed": MODALITIES_SEED + cell.seed, "modalities": rows, "provenance": provenance()}
+    return asdict(cell) | {"seed": MODALITIES_SEED + cell.seed, "modalities": rows, "provenance": provenance(model.home_pixels.device)}

@@ -167,7 +167,9 @@ def compare_run(
         progress(len(done), len(episodes))
 
     compared = compare(model, {episode: recorded[episode] for episode in episodes}, shown=shown, config=config, progress=tell)
-    result = result_of_comparison(compared, about_run(run, folder, data, recorded) | {"plan": asdict(config), "provenance": provenance()})
+    result = result_of_comparison(
+        compared, about_run(run, folder, data, recorded) | {"plan": asdict(config), "provenance": provenance(place)}
+    )
     write_json(out, result)
     written = write_films(compared, film_folder) if film_folder else []
     return lines_of(result) + [f"film: {path}" for path in written]

@@ -18,11 +18,9 @@ import torch
 from jaxtyping import Int
 from torch import Tensor, distributed, nn
 
-from preimage.devices import Device, place_of
+from preimage.devices import CPU, Device, place_of
 
 Told = TypeVar("Told")
-
-CPU = torch.device("cpu")
 
 
 class ProcessLost(RuntimeError):

@@ -12,14 +12,20 @@ from typing import Any
 
 import torch
 
+from preimage.devices import CPU, chip_of
 
-def provenance() -> dict[str, Any]:
-    """Of this process, ready for JSON."""
+
+def provenance(place: torch.device = CPU) -> dict[str, Any]:
+    """Of this process, ready for JSON.
+
+    Args:
+        place: what computes.
+    """
     return {
         "command": shlex.join(["preimage", *sys.argv[1:]]),
         "commit": commit(),
         "versions": {name: version(name) for name in ("preimage", "torch", "mujoco", "numpy")} | {"python": platform.python_version()},
-        "machine": f"{platform.machine()}, {torch.get_num_threads()} threads",
+        "machine": f"{platform.machine()}, {torch.get_num_threads()} threads" + (f", {chip_of(place)}" if place.type == "cuda" else ""),
         "date": datetime.now(UTC).date().isoformat(),
     }
 

@@ -111,8 +111,9 @@ def train_(
     held_out = learned_from.get("held_out", [])
     demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
     about = {"size": size, "num_demonstrations": len(demonstrations), "data": learned_from}
-    about |= {"view": asdict(opened.view), "body": asdict(opened.body), "task": task_of(demonstrations), "provenance": provenance()}
     crew = gather(devices=devices, num_nodes=num_nodes, device=device)
+    about |= {"view": asdict(opened.view), "body": asdict(opened.body)}
+    about |= {"task": task_of(demonstrations), "provenance": provenance(crew.device)}
     with bar(shown=crew.first) as progress:
         shown = progress.add_task("training", total=config.updates)
 

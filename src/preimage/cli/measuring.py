@@ -62,7 +62,7 @@ def evaluate_(
     model, learned_from, made = load_model(folder).to(place_of(device)), read_shown(folder), made_from(folder)
     about = {"task": task, "model": run} | made
     about |= {"seed": seed, "loop": loop, "paper": paper_of(task, made["num_demonstrations"], loop)}
-    about |= {"plan": asdict(config), "provenance": provenance()}
+    about |= {"plan": asdict(config), "provenance": provenance(model.home_pixels.device)}
     with bar() as progress:
         shown = progress.add_task("evaluating", total=goals)
         reached: list[bool] = []
@@ -150,7 +150,8 @@ def bench_(out: Path = Path("results/bench.json"), device: Device = "cpu", quick
         device: what to measure.
         quick: leave out the paper's size and the growth of planning time.
     """
-    write_json(out, bench(place_of(device), quick=quick) | {"provenance": provenance()})
+    place = place_of(device)
+    write_json(out, bench(place, quick=quick) | {"provenance": provenance(place)})
     print(f"wrote {out}; `preimage report` draws it")
 
 
