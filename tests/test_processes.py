@@ -11,8 +11,13 @@ from typing import Any
 import pytest
 import torch
 
-from preimage.model import ModelConfig
+from preimage.evaluation import evaluate
+from preimage.model import PDVMRNN, ModelConfig
+from preimage.planning import PlanConfig
 from preimage.processes import Crew, ProcessLost, gather
+from preimage.records import Shown
+from preimage.robot import TASKS, Arm, record
+from preimage.sequences import sensors_of
 from preimage.training import Progress, train
 from test_training import CONFIG, demonstrations, weights
 
@@ -35,6 +40,16 @@ def stopped(model_config: ModelConfig, crew: Crew, folder: Path) -> None:
         learned(model_config, crew, folder=folder, progress=interrupt_at_3)
 
 
+def planned(crew: Crew = Crew()) -> list[float]:  # noqa: B008, frozen
+    """The errors of the plans to three goals, of which two processes have shares of two and one."""
+    task = TASKS["reach"]
+    seen = record(Arm(), task, count=1, seed=0)
+    model = PDVMRNN(ModelConfig.tiny(), sensors_of(seen)).requires_grad_(False)
+    shown = [Shown(one.last.frame, one.joints, one.rate_hz) for one in seen]
+    config = PlanConfig(iterations=1, horizon=3)
+    return [one.plan.error for one in evaluate(model, Arm(), task, goals=3, seed=1, shown=shown, config=config, crew=crew)]
+
+
 def work(rank: int, folder: Path) -> None:
     """One of two processes; what came of it is saved under its rank."""
     torch.set_default_dtype(torch.float64)
@@ -43,10 +58,12 @@ def work(rank: int, folder: Path) -> None:
     crew, seen = Crew(rank, 2), {}
     for name, model_config in CASES.items():
         seen[f"{name} together"] = learned(model_config, crew, folder=folder / name)
+    seen["planned together"] = planned(crew)
     case = CASES["latent"]
     stopped(case, crew, folder / "two-then-one")
     if crew.first:
         stopped(case, Crew(), folder / "one-then-two")
+        seen["planned alone"] = planned()
         seen["two then one"] = learned(case, folder=folder / "two-then-one", resume=True)
         seen |= {f"{name} alone": learned(model_config) for name, model_config in CASES.items()}
     seen["one then two"] = learned(case, crew, folder=folder / "one-then-two", resume=True)
@@ -80,6 +97,13 @@ def test_two_processes_give_the_weights_of_one(seen, case):
 @pytest.mark.parametrize("way", ["two then one", "one then two"])
 def test_a_checkpoint_moves_between_one_process_and_two(seen, way):
     torch.testing.assert_close(seen[0][way], seen[0]["latent alone"], rtol=0, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_goals_are_shared_and_all_are_told_of_all(seen):
+    first, second = seen
+    assert len(first["planned alone"]) == 3
+    assert first["planned together"] == second["planned together"] == first["planned alone"]
 
 
 @pytest.mark.slow

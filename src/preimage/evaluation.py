@@ -17,6 +17,7 @@ from jaxtyping import Float
 from preimage.execution import execute, execute_open_loop, play
 from preimage.model import PDVMRNN
 from preimage.planning import PlanConfig, follow, horizon_of, imagine_library, imagine_without_goal, plan
+from preimage.processes import Crew
 from preimage.records import Demonstration, Percept, Plan, Shown, Trial
 from preimage.robot import Arm, Task, record, succeeds_within
 from preimage.sequences import at_rate
@@ -88,6 +89,7 @@ def evaluate(
     loop: Loop = "closed",
     policies: Policies | None = None,
     progress: Callable[[Evaluated], None] | None = None,
+    crew: Crew = Crew(),  # noqa: B008, frozen
 ) -> list[Evaluated]:
     """Plan to goals that a tutor reached, execute in physics and judge.
 
@@ -96,19 +98,24 @@ def evaluate(
         seed: draws the goals; not the one the demonstrations were recorded with.
         shown: the demonstrations the model was trained on, for the baseline that replays one of them.
         policies: more baselines, by name.
-        progress: called after each goal.
+        progress: called after each goal of this process.
+        crew: the processes that share the goals; each gets what all have found.
+
+    Raises:
+        ProcessLost: another process of the crew is no longer there.
     """
     config = config or PlanConfig()
     library = imagine_library(model, config=config)
-    evaluated = []
-    for demonstration in record(arm, task, count=goals, seed=seed):
+    recorded, evaluated = record(arm, task, count=goals, seed=seed), dict[int, Evaluated]()
+    for goal in crew.share(goals).tolist():
+        demonstration = recorded[goal]
         found = plan(model, start=demonstration.first, goal=goal_of(demonstration, config), config=config, library=library)
         trial = carry_out(model, found, arm, task, demonstration, loop, config)
         baselines = dict(baselines_of(model, arm, task, demonstration, shown, policies or {}, config))
-        evaluated.append(Evaluated(demonstration, found, trial, baselines))
+        evaluated[goal] = Evaluated(demonstration, found, trial, baselines)
         if progress:
-            progress(evaluated[-1])
-    return evaluated
+            progress(evaluated[goal])
+    return crew.together(evaluated)
 
 
 def carry_out(model: PDVMRNN, found: Plan, arm: Arm, task: Task, demonstration: Demonstration, loop: Loop, config: PlanConfig) -> Trial:

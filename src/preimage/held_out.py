@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Float, Shaped, UInt8
 
 from preimage.dataset import fingerprint, load
 from preimage.evaluation import goal_of, nearest_shown
 from preimage.model import PDVMRNN
 from preimage.planning import PlanConfig, imagine_library, imagine_without_goal, plan
+from preimage.processes import Crew
 from preimage.provenance import provenance
 from preimage.records import Demonstration, Plan, Shown
 from preimage.report import film
@@ -106,31 +106,35 @@ def compare(
     shown: Sequence[Shown],
     config: PlanConfig | None = None,
     progress: Callable[[Compared], None] | None = None,
+    crew: Crew = Crew(),  # noqa: B008, frozen
 ) -> list[Compared]:
     """Plan from the first percept to the last frame of each recording, and compare.
 
     Args:
         demonstrations: the recordings, by number of the episode.
         shown: the demonstrations the model was trained on, for the baseline that repeats one of them.
-        progress: called after each episode.
+        progress: called after each episode of this process.
+        crew: the processes that share the episodes; each gets what all have found.
 
     Raises:
         ValueError: the recordings have other joints or frames than the model's.
+        ProcessLost: another process of the crew is no longer there.
     """
     config = config or PlanConfig()
     for episode, one in demonstrations.items():
         if one.joint_names != model.sensors.joint_names:
             raise ValueError(f"episode {episode} has joints {one.joint_names}, the model was trained with {model.sensors.joint_names}")
     library = imagine_library(model, config=config)
-    compared = []
-    for episode, one in demonstrations.items():
+    compared, episodes = dict[int, Compared](), list(demonstrations)
+    for episode in (episodes[number] for number in crew.share(len(episodes))):
+        one = demonstrations[episode]
         found = plan(model, start=one.first, goal=goal_of(one, config), config=config, library=library)
         baselines = {name: errors_of(one, way) for name, way in baselines_of(model, one, shown, config).items()}
         by_joint = np.abs(found.joints[found.arrival_step] - one.joints[-1])
-        compared.append(Compared(episode, one, found, errors_of(one, way_of(found)), by_joint, baselines))
+        compared[episode] = Compared(episode, one, found, errors_of(one, way_of(found)), by_joint, baselines)
         if progress:
-            progress(compared[-1])
-    return compared
+            progress(compared[episode])
+    return crew.together(compared)
 
 
 def compare_run(
@@ -139,15 +143,15 @@ def compare_run(
     *,
     out: Path,
     film_folder: Path | None,
-    place: torch.device,
     config: PlanConfig,
     progress: Callable[[int, int], None],
+    crew: Crew = Crew(),  # noqa: B008, frozen
 ) -> list[str]:
     """Compare a run with the episodes of a data set that it was not trained on, and write the result as JSON and a few films.
 
     Args:
-        place: what computes.
-        progress: called after each episode with the number done and the number of all.
+        progress: called after each episode of this process with the number done and the number of its own.
+        crew: the processes that share the episodes, of which only the first writes.
 
     Returns:
         what there is to say, line by line.
@@ -156,7 +160,7 @@ def compare_run(
         ValueError: there is no such run or data set, they do not fit together, or every episode was trained on.
     """
     folder = find_run(run)
-    model, shown, recorded = load_model(folder).to(place), read_shown(folder), load(data, view=read_view(folder))
+    model, shown, recorded = load_model(folder).to(crew.device), read_shown(folder), load(data, view=read_view(folder))
     episodes = never_shown(recorded, shown)
     if not episodes:
         raise ValueError(f"{run} was trained on every episode of {data}: train with --hold-out 4, or give other recordings")
@@ -164,12 +168,15 @@ def compare_run(
 
     def tell(one: Compared) -> None:
         done.append(one)
-        progress(len(done), len(episodes))
+        progress(len(done), len(crew.share(len(episodes))))
 
-    compared = compare(model, {episode: recorded[episode] for episode in episodes}, shown=shown, config=config, progress=tell)
+    chosen = {episode: recorded[episode] for episode in episodes}
+    compared = compare(model, chosen, shown=shown, config=config, progress=tell, crew=crew)
     result = result_of_comparison(
-        compared, about_run(run, folder, data, recorded) | {"plan": asdict(config), "provenance": provenance(place)}
+        compared, about_run(run, folder, data, recorded) | {"plan": asdict(config), "provenance": provenance(crew.device)}
     )
+    if not crew.first:
+        return []
     write_json(out, result)
     written = write_films(compared, film_folder) if film_folder else []
     return lines_of(result) + [f"film: {path}" for path in written]

@@ -10,7 +10,7 @@ import atexit
 import contextlib
 import logging
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -87,6 +87,19 @@ class Crew:
             with lost_is_told():
                 distributed.broadcast_object_list(box, device=self.device)
         return box[0]
+
+    def together(self, told: Mapping[int, Told]) -> list[Told]:
+        """What all processes have, each under numbers of its own, in the order of the numbers.
+
+        Raises:
+            ProcessLost: as in `add`.
+        """
+        of_each = [told] * self.size
+        if self.size > 1:
+            with lost_is_told():
+                distributed.all_gather_object(of_each, told)
+        of_all = {number: one for some in of_each for number, one in some.items()}
+        return [of_all[number] for number in sorted(of_all)]
 
 
 @contextlib.contextmanager

@@ -118,9 +118,9 @@ def read_config(folder: Path) -> dict[str, Any]:
 
 
 def made_from(folder: Path) -> dict[str, Any]:
-    """Size of a run's network and number of its demonstrations, as results tell them; None where config.json does not."""
+    """Size of a run's network, number of its demonstrations and training seed, as results tell them; None where config.json does not."""
     config = read_config(folder)
-    return {name: config.get(name) for name in ("size", "num_demonstrations")}
+    return {name: config.get(name) for name in ("size", "num_demonstrations")} | {"training_seed": config.get("train", {}).get("seed")}
 
 
 def read_settings(record: type[Record], folder: Path, key: str) -> Record:

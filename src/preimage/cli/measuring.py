@@ -16,6 +16,7 @@ from preimage.experiments import cells_of, paper_of, reproduce
 from preimage.held_out import compare_run
 from preimage.options import refuse_out_of_range
 from preimage.planning import PlanConfig
+from preimage.processes import Crew, gather
 from preimage.provenance import provenance
 from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS, Arm
@@ -34,6 +35,7 @@ def evaluate_(
     seed: int = 5000,
     loop: Loop = "closed",
     device: Device = "auto",
+    devices: int = 1,
     config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
 ) -> None:
     """Count how often plans to goals that were never shown arrive, beside what luck would give.
@@ -49,32 +51,38 @@ def evaluate_(
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
         loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from what the tutor saw.
-        device: what computes; auto is a GPU where there is one.
+        device: what computes; auto is a GPU where there is one, or one for each of the devices.
+        devices: processes on this machine that share the goals.
         config: how the plans are searched for.
     """
     known_task(task)
     refuse_out_of_range(config)
-    if data is not None:
-        return compare_with(data, run, out, films, device, config)
-    if films is not None:
+    if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
+    crew = gather(devices=devices, num_nodes=1, device=device)
+    if data is not None:
+        return compare_with(data, run, out, films, config, crew)
     folder = find_run(run)
-    model, learned_from, made = load_model(folder).to(place_of(device)), read_shown(folder), made_from(folder)
+    model, learned_from, made = load_model(folder).to(crew.device), read_shown(folder), made_from(folder)
     about = {"task": task, "model": run} | made
     about |= {"seed": seed, "loop": loop, "paper": paper_of(task, made["num_demonstrations"], loop)}
-    about |= {"plan": asdict(config), "provenance": provenance(model.home_pixels.device)}
-    with bar() as progress:
-        shown = progress.add_task("evaluating", total=goals)
+    about |= {"plan": asdict(config), "provenance": provenance(crew.device)}
+    mine = len(crew.share(goals))
+    with bar(shown=crew.first) as progress:
+        shown = progress.add_task("evaluating", total=mine)
         reached: list[bool] = []
 
         def tell(one: Evaluated) -> None:
             reached.append(one.trial.success)
             so_far = f"evaluating  {sum(reached)}/{len(reached)} reached"
             progress.update(shown, completed=len(reached), description=so_far)
-            if not console.is_terminal and len(reached) % 10 == 0:
-                print(f"{so_far}, {goals - len(reached)} goals left", file=sys.stderr, flush=True)
+            if crew.first and not console.is_terminal and len(reached) % 10 == 0:
+                print(f"{so_far}, {mine - len(reached)} goals left", file=sys.stderr, flush=True)
 
-        evaluated = evaluate(model, Arm(), TASKS[task], goals=goals, seed=seed, shown=learned_from, config=config, loop=loop, progress=tell)
+        asked: dict[str, Any] = {"goals": goals, "seed": seed, "shown": learned_from, "config": config, "loop": loop}
+        evaluated = evaluate(model, Arm(), TASKS[task], **asked, progress=tell, crew=crew)
+    if not crew.first:
+        return
     result = result_of(evaluated, about)
     write_json(out, result)
     print(summary("preimage", result))
@@ -82,16 +90,17 @@ def evaluate_(
         print(summary(name, baseline))
 
 
-def compare_with(data: Path, run: str, out: Path, films: Path | None, device: Device, config: PlanConfig) -> None:
+def compare_with(data: Path, run: str, out: Path, films: Path | None, config: PlanConfig, crew: Crew) -> None:
     """The part of `evaluate` that needs no simulator."""
-    with bar() as progress:
+    with bar(shown=crew.first) as progress:
         shown = progress.add_task("planning", total=None)
 
         def tell(done: int, of_all: int) -> None:
             progress.update(shown, completed=done, total=of_all)
 
-        lines = compare_run(run, data, out=out, film_folder=films, place=place_of(device), config=config, progress=tell)
-    print("\n".join(lines))
+        lines = compare_run(run, data, out=out, film_folder=films, config=config, progress=tell, crew=crew)
+    if crew.first:
+        print("\n".join(lines))
 
 
 def reproduce_(

@@ -207,7 +207,8 @@ def percent(share: float) -> str:
 
 
 def size_of(one: Mapping[str, Any]) -> str:
-    return f"{one.get('size')}, {one.get('training_seed', '–')}/{one['seed']}"
+    learned = one.get("training_seed")
+    return f"{one.get('size')}, {'–' if learned is None else learned}/{one['seed']}"
 
 
 def counted(one: Mapping[str, Any]) -> str:

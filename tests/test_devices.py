@@ -1,0 +1,47 @@
+"""Where the arithmetic is done is told in one word, and a GPU gets what a CPU gets."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from preimage.devices import CPU, place_of
+from preimage.model import PDVMRNN, ModelConfig
+from preimage.planning import imagine_library
+from preimage.processes import Crew
+from preimage.training import train
+from test_training import CONFIG, demonstrations, weights
+
+needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+
+
+def test_a_gpu_is_taken_where_there_is_one(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert [place_of(device).type for device in ("auto", "cpu", "cuda")] == ["cuda", "cpu", "cuda"]
+
+
+def test_a_gpu_that_is_not_there_is_refused(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert place_of("auto") == CPU
+    with pytest.raises(ValueError, match="give cpu, or auto"):
+        place_of("cuda")
+
+
+@needs_gpu
+def test_a_gpu_learns_what_a_cpu_learns():
+    exact = replace(CONFIG, precision="float32")
+    by_cpu, by_gpu = (train(demonstrations(), ModelConfig.tiny(), config=exact, crew=Crew(device=place_of(d))) for d in ("cpu", "cuda"))
+    torch.testing.assert_close(weights(by_gpu).cpu(), weights(by_cpu), rtol=0, atol=1e-3)
+
+
+@needs_gpu
+def test_what_is_recorded_follows_the_weights():
+    model = train(demonstrations(), ModelConfig.tiny(), config=CONFIG)
+    seen = imagine_library(model).imagined
+    there = model.to("cuda")
+    for _ in range(2):  # recorded, then replayed
+        torch.testing.assert_close(imagine_library(there).imagined.pixels.cpu(), seen.pixels, rtol=0, atol=0.05)
+    with torch.no_grad():
+        there.pixel_bias.fill_(9.0)
+    assert imagine_library(there).imagined.pixels.min() > 0.9
+    assert isinstance(there, PDVMRNN)
