@@ -5,7 +5,6 @@ so that `reproduce` goes on where it was stopped. Demonstrations are recorded wi
 seed draws the first weights, the batches and, added to `TEST_SEED`, the test goals. Seeds from 500 to 999 are for tuning.
 """
 
-import json
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -27,7 +26,7 @@ from preimage.processes import Crew
 from preimage.provenance import provenance
 from preimage.records import Demonstration
 from preimage.robot import TASKS, Arm, record
-from preimage.runs import load_model, read_config, read_settings, read_shown, write_card
+from preimage.runs import load_model, made_from, read_config, read_settings, read_shown, write_card
 from preimage.training import Progress, TrainConfig, train
 from preimage.whole_file import write_json
 from preimage.wording import number_of
@@ -232,19 +231,13 @@ def evaluation_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration
         model, Arm(), TASKS[cell.task], goals=goals, seed=TEST_SEED + cell.seed, shown=read_shown(run), loop=loop,
         policies=policies, progress=count,
     )  # fmt: skip
-    about = asdict(cell) | {"model": cell.name, "seed": TEST_SEED + cell.seed, "training_seed": cell.seed, "loop": loop}
+    about = asdict(cell) | {"model": cell.name, "seed": TEST_SEED + cell.seed, "loop": loop} | made_from(run)
     about |= {
         "paper": paper_of(cell.task, cell.num_demonstrations, loop),
         "plan": asdict(PlanConfig()),
-        "training_seconds": training_seconds(run),
         "provenance": provenance(model.home_pixels.device),
     }
     return result_of(evaluated, about)
-
-
-def training_seconds(run: Path) -> float:
-    """Seconds of all updates of a run."""
-    return round(sum(json.loads(line)["seconds"] for line in (run / "log.jsonl").read_text().splitlines()), 1)
 
 
 def recognition_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration]) -> dict[str, Any]:

@@ -118,9 +118,19 @@ def read_config(folder: Path) -> dict[str, Any]:
 
 
 def made_from(folder: Path) -> dict[str, Any]:
-    """Size of a run's network, number of its demonstrations and training seed, as results tell them; None where config.json does not."""
+    """Size of a run's network, number of its demonstrations, seed, seconds and machine of its training, as results tell them.
+
+    What its config.json, or its log, does not tell is None, or, of the seconds, not there.
+    """
     config = read_config(folder)
-    return {name: config.get(name) for name in ("size", "num_demonstrations")} | {"training_seed": config.get("train", {}).get("seed")}
+    made = {name: config.get(name) for name in ("size", "num_demonstrations")}
+    made |= {"training_seed": config.get("train", {}).get("seed"), "trained_on": config.get("provenance", {}).get("machine")}
+    return made | ({"training_seconds": training_seconds(folder)} if (folder / "log.jsonl").is_file() else {})
+
+
+def training_seconds(folder: Path) -> float:
+    """Seconds of all updates of a run."""
+    return round(sum(json.loads(line)["seconds"] for line in (folder / "log.jsonl").read_text().splitlines()), 1)
 
 
 def read_settings(record: type[Record], folder: Path, key: str) -> Record:

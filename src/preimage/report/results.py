@@ -181,6 +181,7 @@ def cells_table(evaluations: Results) -> str:
     for one in evaluations:
         made = one.get("provenance", {})
         learned = f"{one['training_seconds'] / 60:.1f} min" if "training_seconds" in one else ""
+        learned += f", {one['trained_on']}" if one.get("trained_on") else ""
         rows.append(
             [
                 one["file"],
