@@ -146,7 +146,7 @@ BEHIND = 1.3
 """A candidate whose error is more than this many times the lowest after a leap is dropped."""
 LEADING = 8
 """Directions in which slopes are measured anew."""
-ENOUGH = 0.04
+ENOUGH = 0.2
 """A leap that lowers the error by less than this share of it is not worth another from the same slopes."""
 
 
