@@ -1,6 +1,6 @@
 """Data sets that LeRobot 0.6.1 itself wrote (tests/data), by its own LeRobotDataset.create, add_frame, save_episode and finalize.
 
-Both have two episodes at 10 Hz of a robot of three joints that touches a dot: `lerobot-images` five steps each with pictures of 16x16 pixels,
+Both have two episodes at 10 Hz of a robot of three joints: `lerobot-images` five steps each with pictures of 16x16 pixels,
 `lerobot-video` eight with pictures of 64x64, in one AV1 video as LeRobot encodes them. What they show is told by the functions below.
 """
 
