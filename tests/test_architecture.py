@@ -31,6 +31,7 @@ ORDER = [
     "blending",
     "limits",
     "prediction_error",
+    "batch_error",
     "hub",
     "runs",
     "processes",

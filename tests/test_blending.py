@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from preimage.blending import REACH, Blends, draw_blends
+from preimage.blending import Blends, draw_blends
 from preimage.intention import IntentionState
 from preimage.sequences import Sequences
 
@@ -17,18 +17,19 @@ def sequences() -> Sequences:
 @pytest.mark.parametrize(("share", "num_blends"), [(0.0, 0), (0.5, 2), (0.9, 3)])
 def test_a_share_of_the_sequences_are_blends_of_different_demonstrations(share: float, num_blends: int) -> None:
     rows = torch.tensor([3, 1, 0, 2])
-    blends = draw_blends(rows, sequences(), share, torch.Generator().manual_seed(0))
+    blends = draw_blends(rows, sequences(), torch.Generator().manual_seed(0), share=share)
     assert int(blends.blended.sum()) == num_blends
     assert torch.equal(blends.rows[:, 0], rows)
     assert all(len(set(parts)) == (3 if num_blends else 1) for parts in blends.rows.tolist())
     assert blends.weights.sum(1) == pytest.approx(torch.ones(4).numpy(), abs=1e-6)
 
 
-def test_blends_reach_as_far_beyond_their_demonstrations_as_they_should() -> None:
-    rows = torch.zeros(4000, dtype=torch.long)
-    weights = draw_blends(rows, sequences(), 0.999, torch.Generator().manual_seed(0)).weights[-3996:]
-    assert weights.min().item() == pytest.approx((1 - REACH) / 3, abs=0.02)
-    assert weights.mean(0) == pytest.approx(torch.full((3,), 1 / 3).numpy(), abs=0.02)
+@pytest.mark.parametrize(("parts", "reach"), [(3, 1.3), (4, 1.8), (3, 1.0)])
+def test_blends_reach_as_far_beyond_their_demonstrations_as_they_should(parts: int, reach: float) -> None:
+    rows, draw = torch.zeros(4000, dtype=torch.long), torch.Generator().manual_seed(0)
+    weights = draw_blends(rows, sequences(), draw, share=0.999, parts=parts, reach=reach).weights[-3996:]
+    assert weights.min().item() == pytest.approx((1 - reach) / parts, abs=0.02)
+    assert weights.mean(0) == pytest.approx(torch.full((parts,), 1 / parts).numpy(), abs=0.02)
 
 
 def test_a_demonstration_by_itself_stays_as_it_is() -> None:
@@ -55,7 +56,7 @@ def test_a_blend_is_the_weighted_mean_of_its_parts() -> None:
 
 def test_a_single_demonstration_has_nothing_to_be_blended_with() -> None:
     alone = Sequences(torch.zeros(1, 6, 8, 8, 1, dtype=torch.uint8), torch.zeros(1, 6, 2), torch.tensor([6]), rest_steps=0)
-    blends = draw_blends(torch.tensor([0, 0]), alone, 0.5, torch.Generator().manual_seed(0))
+    blends = draw_blends(torch.tensor([0, 0]), alone, torch.Generator().manual_seed(0), share=0.5)
     assert blends.rows.tolist() == [[0], [0]]
     assert blends.weights.tolist() == [[1.0], [1.0]]
 

@@ -14,12 +14,8 @@ from torch import Tensor
 from preimage.intention import IntentionState
 from preimage.sequences import Sequences
 
-PARTS = 3
-"""Demonstrations in a blend: as many as span a patch of a table top."""
 NEIGHBOURS = 6
 """The others in a blend are drawn from so many that are most like the first."""
-REACH = 1.3
-"""How far blends reach, in sizes of the triangle that their demonstrations span; beyond 1 some lie outside of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,16 +49,23 @@ class Blends:
         return torch.einsum("bp...,bp->b...", parts, self.weights.to(parts))
 
 
-def draw_blends(rows: Int[Tensor, " B"], sequences: Sequences, share: float, generator: torch.Generator) -> Blends:
-    """Blend the last of these demonstrations, a share of them, each with some of those most alike; leave the others as they are."""
+def draw_blends(
+    rows: Int[Tensor, " B"], sequences: Sequences, generator: torch.Generator, *, share: float, parts: int = 3, reach: float = 1.3
+) -> Blends:
+    """Blend the last of these demonstrations, a share of them, each with some of those most alike; leave the others as they are.
+
+    Args:
+        parts: demonstrations in a blend; fewer where there are not as many.
+        reach: how far blends reach, in sizes of what their demonstrations span; beyond 1 some lie outside of it.
+    """
     num_blends = int(share * len(rows))
     if num_blends == 0:
         return Blends(rows[:, None], torch.ones(len(rows), 1))
     near = sequences.alike[:, :NEIGHBOURS]
-    parts = min(PARTS, near.shape[1] + 1)
+    parts = min(parts, near.shape[1] + 1)
     others = torch.rand(len(rows), near.shape[1], generator=generator).argsort(1)[:, : parts - 1]
     even = torch.rand(len(rows), parts, generator=generator).clamp(min=1e-9).log()
-    even = even / even.sum(1, keepdim=True)  # evenly over the triangle
-    weights = 1 / parts + REACH * (even - 1 / parts)
+    even = even / even.sum(1, keepdim=True)  # evenly over what they span
+    weights = 1 / parts + reach * (even - 1 / parts)
     weights[: len(rows) - num_blends] = torch.eye(parts)[0]
     return Blends(torch.cat([rows[:, None], near[rows].gather(1, others)], 1), weights)

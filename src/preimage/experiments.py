@@ -44,8 +44,8 @@ LEARNING: dict[str, dict[str, Any]] = {
     "two-circles": {"updates": 1300, "later_starts": 0.5},
 }
 """How a task is learned, where not as `TrainConfig` says."""
-FEW: dict[str, Any] = {"blends": 0.5}
-"""How reaching is learned from fewer than 100 demonstrations: what lies between them has to be told."""
+FEW: dict[int, dict[str, Any]] = {50: {"blends": 0.5}, 25: {"blends": 0.5, "blend_parts": 4, "blend_reach": 1.8}}
+"""How reaching is learned from fewer than 100 demonstrations: what lies between them, and around them, has to be told."""
 TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5000, 6000, 7000
 """To these a cell's seed is added: the seeds of what its model was never shown."""
 TELL = Callable[[str], None]
@@ -195,7 +195,7 @@ def network_of(cell: Cell) -> ModelConfig:
 
 def learning_of(cell: Cell) -> TrainConfig:
     """How the cell's model learns."""
-    few = FEW if cell.task == "reach" and cell.num_demonstrations < 100 else {}
+    few = FEW.get(cell.num_demonstrations, {}) if cell.task == "reach" else {}
     config = replace(TrainConfig(seed=cell.seed), **LEARNING.get(cell.task, {}), **few)
     return replace(config, updates=cell.updates) if cell.updates else config
 

@@ -17,18 +17,18 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from preimage.batch_error import BatchError
 from preimage.blending import draw_blends
-from preimage.blurring import BLUR
 from preimage.coding import to_pixels
 from preimage.devices import recorded_with_gradients
-from preimage.intention import IntentionState, IntentionTable, unflatten
+from preimage.intention import IntentionState, IntentionTable
 from preimage.interrupts import saved_on_interrupt
 from preimage.memory import keep_freed_memory
 from preimage.model import PDVMRNN, ModelConfig
-from preimage.prediction_error import SequenceError, sequence_error
+from preimage.prediction_error import SequenceError
 from preimage.processes import Crew
 from preimage.records import Demonstration
 from preimage.runs import write_config, write_shown, write_weights
@@ -60,6 +60,10 @@ class TrainConfig:
     """Share of an update's sequences that begin at a later step of their demonstration, under the same intention."""
     blends: float = 0.0
     """Share of an update's sequences that are blends of alike demonstrations (`blending`); less than 1."""
+    blend_parts: int = 3
+    """Demonstrations in a blend."""
+    blend_reach: float = 1.3
+    """How far blends reach, in sizes of what their demonstrations span; beyond 1 some lie outside of it."""
     rest_steps: int = 30
     """Steps of rest after a demonstration's end that count: the arm learns to stay at the goal."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
@@ -227,7 +231,7 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     model, optimiser = learner.model, learner.optimiser
     rows = batch_of(learner.update, len(sequences), config)
     generator = torch.Generator().manual_seed(config.seed * 1_000_003 + learner.update)
-    blends = draw_blends(rows, sequences, config.blends, generator)
+    blends = draw_blends(rows, sequences, generator, share=config.blends, parts=config.blend_parts, reach=config.blend_reach)
     parts, charges = model.intention_table.draw(blends.rows.flatten(), generator)
     intention, charge = blends.intention(parts), charges.view_as(blends.rows)[:, 0]
     steps = begin_steps(sequences.lengths[rows], config, generator)
@@ -258,37 +262,6 @@ def begin_steps(lengths: Int[Tensor, " B"], config: TrainConfig, generator: torc
     return (where * lengths).long() * (later < config.later_starts)
 
 
-class BatchError(nn.Module):
-    """Generate a batch from its intentions and compare, the pictures of blends coarsely: a function of tensors, to be recorded."""
-
-    def __init__(self, model: PDVMRNN, config: TrainConfig) -> None:
-        super().__init__()
-        self.model, self.config = model, config
-
-    def forward(
-        self,
-        intention: Float[Tensor, "B D"],
-        frames: UInt8[Tensor, "B T H W C"],
-        joints: Float[Tensor, "B T J"],
-        mask: Float[Tensor, "B T"],
-        blended: Bool[Tensor, " B"],
-    ) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
-        """The visual and the proprioceptive error of each sequence."""
-        model, config = self.model, self.config
-        pixels, codes = to_pixels(frames), model.coding.encode(joints.clamp(model.coding.lower, model.coding.upper))
-        generated = model.generate_open_loop(
-            unflatten(intention, model.intention_table.shapes),
-            (pixels, codes),
-            share=config.open_loop_share,
-            dtype=getattr(torch, config.precision),
-        )
-        error = sequence_error(generated, pixels, codes, mask)
-        if not config.blends:
-            return error.visual, error.proprioceptive
-        coarse = sequence_error(generated, pixels, codes, mask, BLUR)
-        return torch.where(blended, coarse.visual, error.visual), error.proprioceptive
-
-
 def error_of(
     learner: Learner, intention: IntentionState, sequences: Sequences, blended: Bool[Tensor, " B"], config: TrainConfig
 ) -> SequenceError:
@@ -296,7 +269,8 @@ def error_of(
     given = sequences.frames, sequences.joints, sequences.mask, blended
     inputs = [intention.flatten(), *(each.to(learner.model.pixel_bias.device) for each in given)]
     if learner.batch_error is None:
-        learner.batch_error = recorded_with_gradients(BatchError(learner.model, config), inputs)
+        how = {"share": config.open_loop_share, "dtype": getattr(torch, config.precision), "blends": config.blends > 0}
+        learner.batch_error = recorded_with_gradients(BatchError(learner.model, **how), inputs)
     return SequenceError(*learner.batch_error(*inputs))
 
 
