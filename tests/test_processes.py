@@ -131,7 +131,7 @@ def test_less_than_one_process_is_refused(devices):
 
 def test_one_process_is_alone_without_any_library(monkeypatch):
     monkeypatch.setitem(sys.modules, "lightning_fabric", None)
-    assert gather(devices=1, num_nodes=1) == Crew()
+    assert gather(devices=1, num_nodes=1, device="cpu") == Crew()
     with pytest.raises(ValueError, match=r"pip install 'preimage\[many\]'"):
         gather(devices=2, num_nodes=1)
 

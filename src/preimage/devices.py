@@ -57,7 +57,9 @@ def recorded_with_gradients(work: nn.Module, inputs: Sequence[Tensor]) -> Callab
     """Work with gradients, to be called with inputs of these shapes; recorded where they lie on a GPU, as it is elsewhere."""
     if not inputs[0].is_cuda:
         return work
-    # The recording keeps nodes of the stream it was made on: one wait an update, and torch, where it can, warns of it.
-    getattr(torch.autograd.graph, "set_warn_on_accumulate_grad_stream_mismatch", bool)(False)
+    # The recording keeps nodes of the stream it was made on, which costs one wait an update; newer versions of torch warn of it.
+    warn = getattr(torch.autograd.graph, "set_warn_on_accumulate_grad_stream_mismatch", None)
+    if warn:
+        warn(False)
     samples = tuple(each.detach().clone().requires_grad_(each.requires_grad) for each in inputs)
     return torch.cuda.make_graphed_callables(work, samples, allow_unused_input=True)  # pyright: ignore[reportReturnType]
