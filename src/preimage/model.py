@@ -28,6 +28,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from preimage.blurring import BLUR, blurred
 from preimage.cells import LSTM, ConvLSTM, Down, Lateral, Linear, State, Up
 from preimage.coding import JointCoding
 from preimage.devices import Recorded
@@ -127,6 +128,10 @@ class PDVMRNN(nn.Module):
     """Mean first frame of the demonstrations."""
     home_joints: Float[Tensor, " J"]
     """Mean first joint angles of the demonstrations (rad)."""
+    shown_changes: Float[Tensor, "N C h w"]
+    """What changed from the first to the last frame of each demonstration, coarsely seen (`blurring`)."""
+    shown_ends: Float[Tensor, "N J"]
+    """Last joint angles of each demonstration (rad)."""
     longest: Tensor
     """Steps of the longest demonstration: how far ahead is imagined unless something else is asked for."""
     intention_table: IntentionTable
@@ -138,7 +143,7 @@ class PDVMRNN(nn.Module):
         check_sizes(config, sensors)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self._build()
+            self._build(num_sequences)
         generator = torch.Generator().manual_seed(seed)
         shapes = {name: self.state_shapes[name] for name in config.intention_layers}
         if config.intention_dimensions is None:
@@ -148,7 +153,7 @@ class PDVMRNN(nn.Module):
                 shapes, num_sequences=num_sequences, dimensions=config.intention_dimensions, generator=generator
             )
 
-    def _build(self) -> None:
+    def _build(self, num_sequences: int) -> None:
         config, sensors, shapes = self.config, self.sensors, self.state_shapes
         vision, motor, top, lateral = config.vision_channels, config.motor_units, config.top_channels, config.lateral_channels
         grid, top_size = shapes[f"vision{config.num_levels}"][1:], shapes["top"][1:]
@@ -177,6 +182,8 @@ class PDVMRNN(nn.Module):
         self.shared = nn.ParameterDict({name: nn.Parameter(torch.zeros(2, *shape)) for name, shape in shapes.items()})
         self.register_buffer("home_pixels", torch.zeros(sensors.channels, sensors.height, sensors.width))
         self.register_buffer("home_joints", torch.zeros(sensors.num_joints))
+        self.register_buffer("shown_changes", blurred(self.home_pixels.expand(num_sequences, -1, -1, -1), BLUR))
+        self.register_buffer("shown_ends", torch.zeros(num_sequences, sensors.num_joints))
         self.register_buffer("longest", torch.tensor(0.0))
 
     @property

@@ -14,8 +14,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from preimage.blurring import BLUR, blurred
 from preimage.coding import to_frames, to_pixels
-from preimage.first_guess import Library, expected_joints, first_guesses
+from preimage.first_guess import Library, expected_joints, feel_alike, first_guesses
 from preimage.intention import IntentionState, unflatten
 from preimage.model import PDVMRNN, Generated, Inputs, Sensed
 from preimage.prediction_error import Modalities, ToGoal, ToSequence
@@ -69,7 +70,11 @@ def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: Pla
     inputs = as_inputs(model, start or home(model), name="start")
     with torch.no_grad():
         table = model.intention_table.intentions()
-        return Library(inputs, imagine(model, table, inputs, num_steps=horizon_of(model, config), precision=config.precision))
+        imagined = imagine(model, table, inputs, num_steps=horizon_of(model, config), precision=config.precision)
+    if feel_alike(model.coding.encode(model.home_joints), inputs[1]):
+        return Library(inputs, imagined, model.shown_changes, model.shown_ends, shown=True)
+    ends = model.coding.decode(imagined.log_codes[:, -1].exp())
+    return Library(inputs, imagined, blurred(imagined.pixels[:, -1] - inputs[0], BLUR), ends, shown=False)
 
 
 def plan(
@@ -109,7 +114,7 @@ def plan(
         return imagine(model, intention, objective.start, num_steps=num_steps or horizon_of(model, config), precision=config.precision)
 
     space = model.intention_table.space(config.dimensions)
-    guesses = first_guesses(library, objective, space.training, count=max(config.guesses, config.candidates))
+    guesses = first_guesses(library, objective, model.coding, space.training, count=max(config.guesses, config.candidates))
     tried: list[Regression] = []
     for some in filter(len, (guesses[: config.candidates], guesses[config.candidates :])):
         tried.append(regress_intention(space, some, from_start, objective, config=config))

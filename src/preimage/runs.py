@@ -66,8 +66,9 @@ def write_config(folder: Path, model: PDVMRNN, about: Mapping[str, Any]) -> None
 
 
 def write_weights(folder: Path, model: PDVMRNN, dtype: torch.dtype = torch.float32) -> None:
-    """Write model.safetensors: weights and intention table, in `dtype` (half precision halves the file)."""
-    tensors = {name: value.to(dtype).contiguous() for name, value in model.state_dict().items()}
+    """Write model.safetensors: weights and intention table, in `dtype` (half precision halves the file); all else as it is."""
+    learned = dict(model.named_parameters())
+    tensors = {name: (value.to(dtype) if name in learned else value).contiguous() for name, value in model.state_dict().items()}
     with whole_file(folder / "model.safetensors") as path:
         path.write_bytes(to_bytes(tensors))
 

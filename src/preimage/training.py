@@ -22,6 +22,7 @@ from torch import Tensor, nn
 
 from preimage.batch_error import BatchError
 from preimage.blending import draw_blends
+from preimage.blurring import BLUR, blurred
 from preimage.coding import to_pixels
 from preimage.devices import recorded_with_gradients
 from preimage.intention import IntentionState, IntentionTable
@@ -170,11 +171,13 @@ def train(
 
 
 def start_from(model: PDVMRNN, sequences: Sequences) -> None:
-    """Start the outputs at the mean percept of the demonstrations, and remember their mean first percept as home."""
+    """Start the outputs at the mean percept of the demonstrations; remember their mean first percept as home, and how each ends."""
     pixels, codes = to_pixels(sequences.frames), model.coding.encode(sequences.joints)
     model.start_from_means(pixels.mean((0, 1)), codes.mean((0, 1)))
     model.home_pixels.copy_(pixels[:, 0].mean(0))
     model.home_joints.copy_(sequences.joints[:, 0].mean(0))
+    model.shown_changes.copy_(blurred(pixels[:, -1] - pixels[:, 0], BLUR))
+    model.shown_ends.copy_(sequences.joints[:, -1])
     model.longest.fill_(sequences.frames.shape[1])
     spread_intentions(model.intention_table, codes.flatten(1))
 
