@@ -1,4 +1,4 @@
-"""Memory of endings: what goes with a picture of a goal, judged from how the model imagines its training sequences to end.
+"""Memory of endings: what goes with the picture of a goal, judged from how sequences end that are known to the end.
 
 The picture of a goal between those of some demonstrations is, seen coarsely, nearly a blend of theirs, and what goes with it, the joints
 or an intention, nearly the same blend of what goes with them. Kriging finds the blend: a Gaussian process whose kernel, the rational
