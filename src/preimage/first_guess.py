@@ -31,8 +31,6 @@ class Library:
     """What each sequence changes in the picture, from its start to its end, coarsely seen."""
     ends: Float[Tensor, "N J"]
     """The joints in which each ends (rad)."""
-    shown: bool
-    """Whether changes and ends are those of the demonstrations; else they are imagined."""
 
     def begins_at(self, start: Sensed) -> bool:
         """Whether a plan may begin at this start as well: nothing that can be seen or felt stands elsewhere."""
@@ -52,12 +50,11 @@ def expected_joints(library: Library, objective: ToGoal, coding: JointCoding) ->
     """The joints with which sequences end that end like the goal: what a picture alone does not say, memory does."""
     recalled = recall(*wanted_among(library, objective, coding), library.ends)
     finest = FINEST * (coding.upper - coding.lower)
-    wider = 1.0 if library.shown else WIDER
-    return ExpectedJoints(coding, recalled.mean, wider * recalled.deviation.maximum(finest))
+    return ExpectedJoints(coding, recalled.mean, WIDER * recalled.deviation.maximum(finest))
 
 
 WIDER = 3.0
-"""Expectations are so many times wider than how well memory tells its own, where it is imagined and the goal is photographed."""
+"""Expectations are so many times wider than how well memory tells its own: the network does not imagine what it expects to a hair."""
 FINEST = 0.005
 """Share of a joint's range below which no expectation is sharper: a code does not tell it more finely."""
 

@@ -72,9 +72,9 @@ def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: Pla
         table = model.intention_table.intentions()
         imagined = imagine(model, table, inputs, num_steps=horizon_of(model, config), precision=config.precision)
     if feel_alike(model.coding.encode(model.home_joints), inputs[1]):
-        return Library(inputs, imagined, model.shown_changes, model.shown_ends, shown=True)
+        return Library(inputs, imagined, model.shown_changes, model.shown_ends)
     ends = model.coding.decode(imagined.log_codes[:, -1].exp())
-    return Library(inputs, imagined, blurred(imagined.pixels[:, -1] - inputs[0], BLUR), ends, shown=False)
+    return Library(inputs, imagined, blurred(imagined.pixels[:, -1] - inputs[0], BLUR), ends)
 
 
 def plan(
