@@ -109,6 +109,25 @@ def test_memory_expects_the_joints_of_a_goal_between_the_demonstrations(model: P
     assert expected.mean.numpy() == pytest.approx(shown.joints[-1], abs=0.08)
 
 
+def test_what_lies_about_and_stays_does_not_change_what_is_expected(model: PDVMRNN) -> None:
+    shown = bar(0.8)
+    start, goal = shown.first.frame.copy(), shown.last.frame.copy()
+    start[12:], goal[12:] = 90, 90  # something that hides the lowest rows from the first frame to the last
+    about = ToGoal(
+        as_inputs(model, Percept(start, shown.joints[0]), name="start"), as_inputs(model, Percept(goal, shown.joints[-1]), name="goal")
+    )
+    library = imagine_library(model, Percept(start, shown.joints[0]), config=CONFIG)
+    assert torch.equal(library.ends, model.shown_ends)
+    expected = expected_joints(library, about, model.coding)
+    assert expected.mean.numpy() == pytest.approx(shown.joints[-1], abs=0.15)
+
+
+def test_memory_is_imagined_where_a_plan_begins_with_other_joints(model: PDVMRNN) -> None:
+    shown = bar(0.8)
+    assert torch.equal(imagine_library(model, shown.first, config=CONFIG).changes, model.shown_changes)
+    assert not torch.equal(imagine_library(model, shown.last, config=CONFIG).changes, model.shown_changes)
+
+
 def test_residuals_of_a_sequence_are_its_error(model: PDVMRNN) -> None:
     shown = bar(0.5)
     sensed = sensed_of(model, shown)
