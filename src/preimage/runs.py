@@ -197,7 +197,7 @@ def load_model(name: str | Path) -> PDVMRNN:
     except FileNotFoundError as error:
         raise ValueError(f"{folder} has no model.safetensors yet: the training stopped before its first checkpoint") from error
     except (KeyError, TypeError, AttributeError, SafetensorError, RuntimeError) as error:
-        reason = str(error).strip().splitlines()[0]
+        reason = " ".join(str(error).split()[:40])
         raise ValueError(f"{folder} cannot be loaded ({reason}): its files are broken or from another version; train again") from error
     return model.requires_grad_(False).eval()
 
