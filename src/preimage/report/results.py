@@ -114,8 +114,9 @@ def recognition_table(found: Results) -> str:
     for one in found:
         if "neighbours" in one:
             training, novel = (sum(one["error"][name]) / len(one["error"][name]) for name in ("training", "novel"))
-            rows.append([one["task"], str(one["num_demonstrations"]), f"{training:.3f}", f"{novel:.3f}", f"{one['neighbours']:.2f}"])
-    head = ["task", "demonstrations", "error, training sequences", "error, novel sequences", "neighbours (rank correlation)"]
+            told = [one["task"], str(one["num_demonstrations"]), str(one.get("size"))]
+            rows.append([*told, f"{training:.3f}", f"{novel:.3f}", f"{one['neighbours']:.2f}"])
+    head = ["task", "demonstrations", "size", "error, training sequences", "error, novel sequences", "neighbours (rank correlation)"]
     return table("Recognition of whole sequences", head, rows)
 
 
@@ -125,7 +126,7 @@ def pictures(found: Results, folder: Path, entry: str, draw: Callable[[Mapping[s
     return "\n\n".join(words.format(**one, picture=f"{folder.name}/{path.name}") for one, path in drawn)
 
 
-INTENTIONS = """Where the intentions of {task} lie: dots are training sequences, stars novel ones.
+INTENTIONS = """Where the intentions of {task} lie ({num_demonstrations} demonstrations, {size}): dots are training sequences, stars novel ones.
 
 ![intentions]({picture})"""
 GROWTH = """How the work grows on {device}, {threads} threads:
