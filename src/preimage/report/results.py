@@ -126,7 +126,8 @@ def pictures(found: Results, folder: Path, entry: str, draw: Callable[[Mapping[s
     return "\n\n".join(words.format(**one, picture=f"{folder.name}/{path.name}") for one, path in drawn)
 
 
-INTENTIONS = """Where the intentions of {task} lie ({num_demonstrations} demonstrations, {size}): dots are training sequences, stars novel ones.
+INTENTIONS = """Where the intentions of {task} lie ({num_demonstrations} demonstrations, {size}): dots are training sequences,
+stars novel ones.
 
 ![intentions]({picture})"""
 GROWTH = """How the work grows on {device}, {threads} threads:
