@@ -13,7 +13,7 @@ GROWTH = {
     "horizon": "one iteration of a plan: steps imagined",
     "candidates": "one iteration of a plan: candidates",
     "batch": "a training update: sequences",
-    "pixels": "a training update: pixels of a frame",
+    "pixels": "a training update: pixels",
 }
 
 
