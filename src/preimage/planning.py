@@ -65,7 +65,10 @@ def imagine(model: PDVMRNN, intention: IntentionState, start: Sensed, *, num_ste
 
 
 def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: PlanConfig | None = None) -> Library:
-    """What the model imagines for each of its training intentions, from a start percept or from home."""
+    """What the model imagines for each of its training intentions, from a start percept or from home, and how they end.
+
+    The endings are those of the demonstrations, as shown, where the start feels like theirs, and as imagined elsewhere.
+    """
     config = config or PlanConfig()
     inputs = as_inputs(model, start or home(model), name="start")
     with torch.no_grad():
