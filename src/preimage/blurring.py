@@ -33,6 +33,11 @@ def blurred(pictures: Float[Tensor, "*batch C H W"], blur: float) -> Float[Tenso
     return rows @ pictures @ columns.T
 
 
+def change(before: Float[Tensor, "*#batch C H W"], after: Float[Tensor, "*batch C H W"]) -> Float[Tensor, "*batch C h w"]:
+    """What changed from one picture to another, coarsely seen: whatever lies about and stays does not count."""
+    return blurred(after - before, BLUR)
+
+
 def smoothing(size: int, deviation: float, device: torch.device) -> Float[Tensor, "kept size"]:
     """The matrix that smooths a row of pixels and keeps one of as many as the largest power of two below the deviation (pixels)."""
     step = 2 ** max(0, int(math.log2(deviation)))

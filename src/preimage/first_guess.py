@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.blurring import BLUR, blurred
+from preimage.blurring import change
 from preimage.coding import JointCoding
 from preimage.model import Generated, Sensed
 from preimage.prediction_error import VISUAL_WEIGHT, ExpectedJoints, ToGoal, proprioceptive_error, visual_error
@@ -75,7 +75,7 @@ def first_guesses(
 
 def wanted_among(library: Library, objective: ToGoal, coding: JointCoding) -> tuple[Float[Tensor, " F"], Float[Tensor, "N F"]]:
     """How the goal looks and feels, and how the endings do, coarsely seen and felt."""
-    wanted = blurred(objective.goal[0] - objective.start[0], BLUR)
+    wanted = change(objective.start[0], objective.goal[0])
     seen = VISUAL_WEIGHT**0.5 * torch.cat([wanted[None], library.changes]).flatten(1)
     felt = torch.cat([objective.goal[1][None], coding.encode(library.ends)]).flatten(1)
     parts = {"vision": [seen], "joints": [felt], "both": [seen, felt]}[objective.modalities]

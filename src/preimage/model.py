@@ -28,7 +28,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from preimage.blurring import BLUR, blurred
+from preimage.blurring import change
 from preimage.cells import LSTM, ConvLSTM, Down, Lateral, Linear, State, Up
 from preimage.coding import JointCoding
 from preimage.devices import Recorded
@@ -182,7 +182,7 @@ class PDVMRNN(nn.Module):
         self.shared = nn.ParameterDict({name: nn.Parameter(torch.zeros(2, *shape)) for name, shape in shapes.items()})
         self.register_buffer("home_pixels", torch.zeros(sensors.channels, sensors.height, sensors.width))
         self.register_buffer("home_joints", torch.zeros(sensors.num_joints))
-        self.register_buffer("shown_changes", blurred(self.home_pixels.expand(num_sequences, -1, -1, -1), BLUR))
+        self.register_buffer("shown_changes", torch.zeros(num_sequences, *change(self.home_pixels, self.home_pixels).shape))
         self.register_buffer("shown_ends", torch.zeros(num_sequences, sensors.num_joints))
         self.register_buffer("longest", torch.tensor(0.0))
 
@@ -262,7 +262,7 @@ class PDVMRNN(nn.Module):
         dtype = dtype or self.pixel_bias.dtype
         if self.pixel_bias.is_cuda and not torch.is_grad_enabled():
             return self._replay_closed_loop(intention, start, num_steps, dtype)
-        return self._generate(intention, start, num_steps, lambda step, predicted: predicted, dtype)
+        return self._generate(intention, start, num_steps, imagined, dtype)
 
     def _replay_closed_loop(self, intention: IntentionState, start: Inputs, num_steps: int, dtype: torch.dtype) -> Generated:
         """The same on a GPU, recorded at the first call for so many sequences, up to the next power of two."""
@@ -274,7 +274,7 @@ class PDVMRNN(nn.Module):
 
         def work(intentions: Tensor, pixels: Tensor, codes: Tensor) -> tuple[Tensor, Tensor]:
             begun = unflatten(intentions, shapes), (pixels, codes)
-            generated = self._generate(*begun, num_steps, lambda step, predicted: predicted, dtype)
+            generated = self._generate(*begun, num_steps, imagined, dtype)
             return generated.pixels, generated.log_codes
 
         key = room, num_steps, dtype
@@ -308,7 +308,7 @@ class PDVMRNN(nn.Module):
         def mix(step: int, predicted: Inputs) -> Inputs:
             return share * pixels[:, step] + (1 - share) * predicted[0], share * codes[:, step] + (1 - share) * predicted[1]
 
-        feed = mix if share else lambda step, predicted: predicted
+        feed = mix if share else imagined
         return self._generate(intention, start or (pixels[:, 0], codes[:, 0]), pixels.shape[1], feed, dtype)
 
     def _generate(
@@ -323,6 +323,11 @@ class PDVMRNN(nn.Module):
             all_log_codes.append(log_codes)
             inputs = feed(step, (pixels, log_codes.exp()))
         return Generated(torch.stack(all_pixels, 1), torch.stack(all_log_codes, 1))
+
+
+def imagined(step: int, predicted: Inputs) -> Inputs:
+    """What enters next in closed loop."""
+    return predicted
 
 
 def in_channels_last(values: Tensor) -> Tensor:

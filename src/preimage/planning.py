@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from preimage.blurring import BLUR, blurred
+from preimage.blurring import change
 from preimage.coding import to_frames, to_pixels
 from preimage.first_guess import Library, expected_joints, feel_alike, first_guesses
 from preimage.intention import IntentionState, unflatten
@@ -77,7 +77,7 @@ def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: Pla
     if feel_alike(model.coding.encode(model.home_joints), inputs[1]):
         return Library(inputs, imagined, model.shown_changes, model.shown_ends)
     ends = model.coding.decode(imagined.log_codes[:, -1].exp())
-    return Library(inputs, imagined, blurred(imagined.pixels[:, -1] - inputs[0], BLUR), ends)
+    return Library(inputs, imagined, change(inputs[0], imagined.pixels[:, -1]), ends)
 
 
 def plan(

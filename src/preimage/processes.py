@@ -1,4 +1,4 @@
-"""Processes that train one network together: each takes its share of an update's sequences, and their gradients are summed.
+"""Processes that work together: each takes its share of an update's sequences, whose gradients are summed, or of the goals planned to.
 
 What an update draws is drawn for all of its sequences in every process, so that it does not matter how many share them.
 

@@ -79,8 +79,9 @@ def evaluate_(
             if crew.first and not console.is_terminal and len(reached) % 10 == 0:
                 print(f"{so_far}, {mine - len(reached)} goals left", file=sys.stderr, flush=True)
 
-        asked: dict[str, Any] = {"goals": goals, "seed": seed, "shown": learned_from, "config": config, "loop": loop}
-        evaluated = evaluate(model, Arm(), TASKS[task], **asked, progress=tell, crew=crew)
+        evaluated = evaluate(
+            model, Arm(), TASKS[task], goals=goals, seed=seed, shown=learned_from, config=config, loop=loop, progress=tell, crew=crew
+        )
     if not crew.first:
         return
     result = result_of(evaluated, about)
