@@ -32,7 +32,7 @@ with install_import_hook([f"preimage.{room}" for room in ROOMS - LEFT_OUT], "con
     import preimage
     from preimage.cli import main
     from preimage.records import Demonstration, Scene
-    from preimage.robot import Arm, Reach
+    from preimage.robot import TASKS, Arm, Reach, record
     from recordings import noises
 
 ARM_JOINTS = Arm().joint_names
@@ -125,3 +125,10 @@ def unchecked() -> Iterator[None]:
     config.update("jaxtyping_disable", True)
     yield
     config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(scope="session")
+def recorded():
+    """Demonstrations of every task, by name, recorded once."""
+    arm = Arm()
+    return {name: record(arm, task, count=2, seed=0) for name, task in TASKS.items()}
