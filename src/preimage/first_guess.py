@@ -49,12 +49,15 @@ SAME_VISUAL, SAME_PROPRIOCEPTIVE = 10.0, 0.1
 def expected_joints(library: Library, objective: ToGoal, coding: JointCoding) -> ExpectedJoints:
     """The joints with which sequences end that end like the goal: what a picture alone does not say, memory does."""
     recalled = recall(*wanted_among(library, objective, coding), library.ends)
-    finest = FINEST * (coding.upper - coding.lower)
-    return ExpectedJoints(coding, recalled.mean, WIDER * recalled.deviation.maximum(finest))
+    told = recalled.deviation.maximum(FINEST * (coding.upper - coding.lower))
+    imagined = IMAGINED * library.ends.std(0, unbiased=False)
+    return ExpectedJoints(coding, recalled.mean, WIDER * told, weight=imagined**2 / (imagined**2 + told**2))
 
 
 WIDER = 3.0
 """Expectations are so many times wider than how well memory tells its own: the network does not imagine what it expects to a hair."""
+IMAGINED = 0.15
+"""How far a network's imagined ending is taken to be off, as a share of how much the endings differ."""
 FINEST = 0.005
 """Share of a joint's range below which no expectation is sharper: a code does not tell it more finely."""
 

@@ -50,7 +50,7 @@ class ModelConfig:
 
     vision_channels: tuple[int, ...] = (16, 32, 32)
     """Feature maps of the vision path, from level 1 up; each level halves height and width (Table I)."""
-    motor_units: tuple[int, ...] = (256, 128, 16)
+    motor_units: tuple[int, ...] = (512, 256, 16)
     """LSTM units of the motor path, from level 1 up (Table I)."""
     top_channels: int = 12
     """Feature maps of the shared top (Table I)."""

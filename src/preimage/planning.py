@@ -14,12 +14,13 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from preimage.arrival import bent_to
 from preimage.blurring import change
 from preimage.coding import to_frames, to_pixels
 from preimage.first_guess import Library, expected_joints, feel_alike, first_guesses
 from preimage.intention import IntentionState, unflatten
 from preimage.model import PDVMRNN, Generated, Inputs, Sensed
-from preimage.prediction_error import Modalities, ToGoal, ToSequence
+from preimage.prediction_error import ExpectedJoints, Modalities, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Regression, RegressionConfig, regress_intention
 from preimage.sequences import at_rate
@@ -129,7 +130,7 @@ def plan(
         error, arrival = objective.errors(imagined)
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
     known = {"start": start, "goal": goal, "error": float(error)} | searched
-    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, **known)
+    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, expected=objective.expected, **known)
 
 
 def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequence[Percept], config: PlanConfig | None = None) -> list[Plan]:
@@ -175,19 +176,29 @@ def join(legs: Sequence[Plan]) -> Plan:
 
 
 def plan_of(
-    model: PDVMRNN, imagined: Generated, intention: IntentionState, arrival_step: int, *, rests: bool = False, **known: Any
+    model: PDVMRNN,
+    imagined: Generated,
+    intention: IntentionState,
+    arrival_step: int,
+    *,
+    rests: bool = False,
+    expected: ExpectedJoints | None = None,
+    **known: Any,
 ) -> Plan:
     """What was imagined, as the record that leaves this room.
 
     Args:
         rests: whether the robot stays where it arrives: at the mean of the joints from then on, without the sway of single steps.
+        expected: what else is known of the joints at the goal; the way there is bent to agree with it.
     """
-    joints = model.coding.decode(imagined.log_codes[0].exp()).double().cpu().numpy()
+    joints = model.coding.decode(imagined.log_codes[0].exp()).double()
     if rests:
         joints[arrival_step:] = joints[arrival_step:].mean(0)
+    if expected:
+        joints = bent_to(expected, joints, arrival_step)
     return Plan(
         frames=to_frames(imagined.pixels[0]).cpu().numpy(),
-        joints=joints,
+        joints=joints.cpu().numpy(),
         arrival_step=arrival_step,
         rate_hz=model.config.rate_hz,
         joint_names=model.sensors.joint_names,

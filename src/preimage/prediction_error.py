@@ -108,6 +108,8 @@ class ExpectedJoints:
     mean: Float[Tensor, " J"]
     """In the joints' units."""
     deviation: Float[Tensor, " J"]
+    weight: Float[Tensor, " J"]
+    """Their weight, of 1, where a plan ends at the mean of what is imagined and what is expected (`arrival`)."""
 
     def error(self, generated: Generated) -> Float[Tensor, "B T"]:
         """Half the squared distance in deviations, summed over joints: how unlikely the joints are (nats)."""

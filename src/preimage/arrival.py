@@ -1,0 +1,27 @@
+"""Where a plan arrives: what the network imagines of a goal and what memory tells of it, each weighed by how far it may be off.
+
+The network was trained to regenerate what it was shown, and a goal between what it was shown it imagines a little beside itself: an
+arm that looks right in the picture, and joints that are off by a degree or two. Memory (`first_guess.expected_joints`) is off as well,
+but elsewhere, and it knows by how much. So the last joints are the mean of both, each weighed by its inverse variance, and the way is
+bent to them where it is near the goal: further away, where the hand may have to touch something first, it stays as imagined.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from preimage.prediction_error import ExpectedJoints
+
+NEAR = 1 / 3
+"""How far from its end a way is bent, as a share of the distance from its start to its end."""
+
+
+def bent_to(expected: ExpectedJoints, joints: Float[Tensor, "T J"], arrival_step: int) -> Float[Tensor, "T J"]:
+    """A way that arrives between the imagined and the expected joints, in the joints' units, and stays within their ranges.
+
+    Distances are measured in the joints' ranges, and a joint of which memory tells nothing counts for nothing.
+    """
+    weight, lower, upper, mean = (each.to(joints) for each in (expected.weight, expected.coding.lower, expected.coding.upper, expected.mean))
+    apart = (weight * ((joints - joints[arrival_step]) / (upper - lower)).square()).sum(-1)  # (T,)
+    nearness = torch.exp(-apart / (NEAR**2 * apart[0]).clamp(min=1e-12))
+    return (joints + nearness[:, None] * weight * (mean - joints[arrival_step])).clamp(lower, upper)
