@@ -144,7 +144,8 @@ def test_evaluate_writes_counts_and_baselines(capsys, run_folder, tmp_path):
     assert set(wanted.split()) <= set(result)
     assert (result["goals"], result["seed"], len(result["rows"])) == (2, 9, 2)
     printed = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in printed] == ["preimage", "do_nothing", "nearest_demonstration", "prior_mean"]
+    baselines = ["do_nothing", "nearest_demonstration", "recalled_joints", "prior_mean"]
+    assert [line.split()[0] for line in printed] == ["preimage", *baselines]
 
 
 # Full disks and Ctrl-C

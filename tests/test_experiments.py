@@ -2,11 +2,13 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from preimage.experiments import Cell, cells_of, goals_of, principal_plane, rank_correlation, reproduce
+from preimage.experiments import SIZES, Cell, cells_of, goals_of, principal_plane, rank_correlation, reproduce
+from preimage.model import ModelConfig
 from preimage.records import Demonstration
 from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS
@@ -34,12 +36,13 @@ def test_the_plane_holds_what_differs_most() -> None:
 
 
 @pytest.mark.slow
-def test_a_cell_from_nothing_to_the_page_and_not_twice(tmp_path) -> None:
+def test_a_cell_from_nothing_to_the_page_and_not_twice(tmp_path, monkeypatch) -> None:
     cell = Cell("reach", num_demonstrations=4, size="tiny", updates=3, goals=3, loops=("closed", "open"))
     told: list[str] = []
     reproduce([cell], work=tmp_path / "work", out=tmp_path / "results", tell=told.append)
     closed = json.loads((tmp_path / "results" / f"{cell.name}-closed.json").read_text())
-    assert {"do_nothing", "nearest_demonstration", "prior_mean", "behaviour_cloning"} == closed["baselines"].keys()
+    baselines = {"do_nothing", "nearest_demonstration", "recalled_joints", "prior_mean", "behaviour_cloning"}
+    assert baselines == closed["baselines"].keys()
     assert (tmp_path / "results" / f"{cell.name}-recognition.json").exists()
     (tmp_path / "results" / f"{cell.name}-recognition.json").unlink()  # as if stopped before it was written
     shutil.rmtree(tmp_path / "work" / "runs" / cell.name)  # and its training before the first checkpoint
@@ -49,6 +52,11 @@ def test_a_cell_from_nothing_to_the_page_and_not_twice(tmp_path) -> None:
     told.clear()
     reproduce([cell], work=tmp_path / "work", out=tmp_path / "results", tell=told.append)
     assert told == [f"{cell.name}: done before"]
+    with pytest.raises(ValueError, match="with other settings: remove it, or give another --work"):
+        reproduce([replace(cell, updates=4)], work=tmp_path / "work", out=tmp_path / "others", tell=told.append)
+    monkeypatch.setitem(SIZES, "tiny", lambda: replace(ModelConfig.tiny(), motor_units=(14, 8)))
+    with pytest.raises(ValueError, match="with other settings: remove it, or give another --work"):
+        reproduce([cell], work=tmp_path / "work", out=tmp_path / "others", tell=told.append)
     page = write_results(tmp_path / "results", tmp_path / "results.md").read_text()
     assert f"{closed['success']}/3" in page
     readme = tmp_path / "README.md"

@@ -55,8 +55,7 @@ def nearly(codes: torch.Tensor) -> torch.Tensor:
 
 
 def objective(model: PDVMRNN, modalities: str = "vision") -> ToGoal:
-    shown = bar(0.7)
-    return ToGoal(as_inputs(model, shown.first, name="start"), as_inputs(model, shown.last, name="goal"), modalities, 1.01)
+    return replace(objective_to(model, bar(0.7)), modalities=modalities)
 
 
 @pytest.mark.parametrize("dimensions", [4, None])
@@ -93,7 +92,7 @@ def test_expected_joints_are_charged_by_their_distance_in_deviations(model: PDVM
     pixels, codes = (torch.stack(parts)[None] for parts in zip(goal.start, goal.goal, strict=True))
     there = Generated(pixels, codes.log())
     joints = model.coding.decode(goal.goal[1])
-    expected = ExpectedJoints(model.coding, joints + torch.tensor([0.2, -0.1]), torch.tensor([0.1, 0.1]))
+    expected = ExpectedJoints(model.coding, joints + torch.tensor([0.2, -0.1]), torch.tensor([0.1, 0.1]), torch.ones(2))
     charged, free = replace(goal, expected=expected), goal
     assert (charged.goal_error(there) - free.goal_error(there))[0, 1].item() == pytest.approx(2.5, rel=0.02)
     error, arrival = charged.errors(there)
@@ -103,10 +102,28 @@ def test_expected_joints_are_charged_by_their_distance_in_deviations(model: PDVM
 
 def test_memory_expects_the_joints_of_a_goal_between_the_demonstrations(model: PDVMRNN) -> None:
     shown = bar(0.8)
-    goal = objective(model)
-    goal = replace(goal, goal=as_inputs(model, shown.last, name="goal"))
-    expected = expected_joints(imagine_library(model, shown.first, config=CONFIG), goal, model.coding)
+    expected = expected_joints(imagine_library(model, shown.first, config=CONFIG), objective_to(model, shown), model.coding)
     assert expected.mean.numpy() == pytest.approx(shown.joints[-1], abs=0.08)
+
+
+def test_memory_weighs_little_where_it_tells_endings_badly(model: PDVMRNN) -> None:
+    goal = objective(model)
+    library = imagine_library(model, bar(0.7).first, config=CONFIG)
+    ends = torch.rand(library.ends.shape, generator=torch.Generator().manual_seed(1))
+    weights = [expected_joints(each, goal, model.coding).weight for each in (library, replace(library, ends=ends))]
+    assert (weights[0] > 0.3).all()
+    assert (weights[1] < 0.1).all()
+
+
+def test_a_plan_ends_as_much_as_memory_weighs_nearer_to_what_it_expects(model: PDVMRNN) -> None:
+    shown = bar(0.8)
+    expected = expected_joints(imagine_library(model, shown.first, config=CONFIG), objective_to(model, shown), model.coding)
+    found = plan(model, start=shown.first, goal=Percept(shown.last.frame), config=CONFIG)
+    start, way = as_inputs(model, shown.first, name="start"), torch.from_numpy(found.intention).float()[None]
+    imagined = imagine(model, unflatten(way, model.intention_table.shapes), start, num_steps=len(found), precision="float32")
+    rest = model.coding.decode(imagined.log_codes[0, found.arrival_step :].exp()).mean(0)
+    wanted = rest + expected.weight * (expected.mean - rest)
+    assert found.joints[-1] == pytest.approx(wanted.numpy(), abs=1e-4)
 
 
 def test_what_lies_about_and_stays_does_not_change_what_is_expected(model: PDVMRNN) -> None:
@@ -126,6 +143,10 @@ def test_memory_is_imagined_where_a_plan_begins_with_other_joints(model: PDVMRNN
     shown = bar(0.8)
     assert torch.equal(imagine_library(model, shown.first, config=CONFIG).changes, model.shown_changes)
     assert not torch.equal(imagine_library(model, shown.last, config=CONFIG).changes, model.shown_changes)
+
+
+def objective_to(model: PDVMRNN, shown: Demonstration) -> ToGoal:
+    return ToGoal(as_inputs(model, shown.first, name="start"), as_inputs(model, shown.last, name="goal"))
 
 
 def test_residuals_of_a_sequence_are_its_error(model: PDVMRNN) -> None:

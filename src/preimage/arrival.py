@@ -21,7 +21,9 @@ def bent_to(expected: ExpectedJoints, joints: Float[Tensor, "T J"], arrival_step
 
     Distances are measured in the joints' ranges, and a joint of which memory tells nothing counts for nothing.
     """
-    weight, lower, upper, mean = (each.to(joints) for each in (expected.weight, expected.coding.lower, expected.coding.upper, expected.mean))
-    apart = (weight * ((joints - joints[arrival_step]) / (upper - lower)).square()).sum(-1)  # (T,)
+    known = expected.weight, expected.mean, expected.coding.lower, expected.coding.upper
+    weight, mean, lower, upper = (each.to(joints) for each in known)
+    end = joints[arrival_step]
+    apart = (weight * ((joints - end) / (upper - lower)).square()).sum(-1)  # (T,)
     nearness = torch.exp(-apart / (NEAR**2 * apart[0]).clamp(min=1e-12))
-    return (joints + nearness[:, None] * weight * (mean - joints[arrival_step])).clamp(lower, upper)
+    return (joints + nearness[:, None] * weight * (mean - end)).clamp(lower, upper)

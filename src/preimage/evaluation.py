@@ -1,7 +1,8 @@
 """How often plans arrive: trials on goals that were never shown, counted with an interval, beside what luck would give.
 
 A success rate alone says little. Beside it stand the arm that does nothing, the arm that replays the demonstration whose last frame looks
-most like the goal, and the same model with no goal, its intention at the prior mean.
+most like the goal, the arm that goes straight to the joints that memory expects there, and the same model with no goal, its intention at
+the prior mean.
 
 >>> [round(100 * bound) for bound in wilson_interval(84, 100)]
 [76, 90]
@@ -15,8 +16,9 @@ import numpy as np
 from jaxtyping import Float
 
 from preimage.execution import execute, execute_open_loop, play
+from preimage.first_guess import Library
 from preimage.model import PDVMRNN
-from preimage.planning import PlanConfig, follow, horizon_of, imagine_library, imagine_without_goal, plan
+from preimage.planning import PlanConfig, follow, horizon_of, imagine_library, imagine_without_goal, plan, recalled_joints
 from preimage.processes import Crew
 from preimage.records import Demonstration, Percept, Plan, Shown, Trial
 from preimage.robot import Arm, Task, record, succeeds_within
@@ -111,7 +113,7 @@ def evaluate(
         demonstration = recorded[goal]
         found = plan(model, start=demonstration.first, goal=goal_of(demonstration, config), config=config, library=library)
         trial = carry_out(model, found, arm, task, demonstration, loop, config)
-        baselines = dict(baselines_of(model, arm, task, demonstration, shown, policies or {}, config))
+        baselines = dict(baselines_of(model, arm, task, demonstration, shown, policies or {}, config, library))
         evaluated[goal] = Evaluated(demonstration, found, trial, baselines)
         if progress:
             progress(evaluated[goal])
@@ -133,19 +135,28 @@ def carry_out(model: PDVMRNN, found: Plan, arm: Arm, task: Task, demonstration: 
 
 
 def baselines_of(
-    model: PDVMRNN, arm: Arm, task: Task, demonstration: Demonstration, shown: Sequence[Shown], policies: Policies, config: PlanConfig
+    model: PDVMRNN,
+    arm: Arm,
+    task: Task,
+    demonstration: Demonstration,
+    shown: Sequence[Shown],
+    policies: Policies,
+    config: PlanConfig,
+    library: Library,
 ) -> Iterator[tuple[str, Trial]]:
     """What would have been reached otherwise."""
-    scene = demonstration.scene
+    scene, num_steps = demonstration.scene, horizon_of(model, config)
     assert scene is not None
     yield "do_nothing", play(demonstration.joints[:1], demonstration.rate_hz, arm, scene, task=task)
     nearest = nearest_shown(shown, demonstration.last)
     yield "nearest_demonstration", play(nearest.joints, nearest.rate_hz, arm, scene, task=task)
+    recalled = recalled_joints(model, demonstration.first, Percept(demonstration.last.frame), library=library)
+    straight = np.linspace(demonstration.joints[0], recalled, num_steps)
+    yield "recalled_joints", play(straight, model.config.rate_hz, arm, scene, task=task)
     yield "prior_mean", execute(imagine_without_goal(model, demonstration.first, config=config), arm, scene, task=task)
     for name, policy_to in policies.items():
-        num_steps = horizon_of(model, config) - 1
         policy = policy_to(Percept(demonstration.last.frame))
-        yield name, execute_open_loop(policy, arm, scene, num_steps=num_steps, rate_hz=model.config.rate_hz, task=task)
+        yield name, execute_open_loop(policy, arm, scene, num_steps=num_steps - 1, rate_hz=model.config.rate_hz, task=task)
 
 
 def goal_of(demonstration: Demonstration, config: PlanConfig) -> Percept:

@@ -165,10 +165,10 @@ def model_of(
 ) -> PDVMRNN:
     """The cell's trained model; a training that was stopped goes on."""
     run = work / "runs" / cell.name
-    config = learning_of(cell)
+    network, config = network_of(cell), learning_of(cell)
     finished, begun = (run / "README.md").exists(), (run / "resume.pt").exists()
     if finished or begun:
-        refuse_other_run(run, demonstrations, config)
+        refuse_other_run(run, demonstrations, network, config)
     elif run.exists():
         shutil.rmtree(run)  # it was stopped before its first checkpoint
     if finished:
@@ -182,7 +182,7 @@ def model_of(
         "provenance": provenance(place),
     }
     crew = Crew(device=place)
-    train(demonstrations, network_of(cell), config=config, folder=run, resume=begun, about=about, progress=progress, crew=crew)
+    train(demonstrations, network, config=config, folder=run, resume=begun, about=about, progress=progress, crew=crew)
     write_card(run)
     return load_model(run).to(place)
 
@@ -200,9 +200,10 @@ def learning_of(cell: Cell) -> TrainConfig:
     return replace(config, updates=cell.updates) if cell.updates else config
 
 
-def refuse_other_run(run: Path, demonstrations: list[Demonstration], config: TrainConfig) -> None:
+def refuse_other_run(run: Path, demonstrations: list[Demonstration], network: ModelConfig, config: TrainConfig) -> None:
     """Raises ValueError where a run was made from other demonstrations or with other settings than are asked for."""
-    if (read_config(run)["data"]["fingerprint"], read_settings(TrainConfig, run, "train")) != (fingerprint(demonstrations), config):
+    made = read_config(run)["data"]["fingerprint"], read_settings(ModelConfig, run, "model"), read_settings(TrainConfig, run, "train")
+    if made != (fingerprint(demonstrations), network, config):
         raise ValueError(f"{run} was trained on other data or with other settings: remove it, or give another --work")
 
 

@@ -35,8 +35,8 @@ class PlanConfig(RegressionConfig):
     """The modalities of the goal that are used; the rest of a goal percept is not looked at."""
     guesses: int = 8
     """First guesses, the recalled one before all; as many as `candidates` are regressed, the others if the plan is in doubt then."""
-    doubt: float = 0.15
-    """A plan is in doubt while its error is above this share of the error of staying at the start."""
+    doubt: float = 0.05
+    """A plan is in doubt while its error is above this share of the error of staying at the start, expected joints included."""
     horizon: int | None = None
     """Steps imagined, T_max; by default as many as the longest demonstration has."""
     delay_penalty: float = 1.01
@@ -106,13 +106,8 @@ def plan(
     began = time.perf_counter()
     config = config or PlanConfig()
     start = start or home(model)
-    wanted = goal_inputs(model, goal, config.modalities)
-    objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests)
+    objective, library = asked_for(model, start, goal, config, library)
     beyond_doubt = config.doubt * objective.start_to_goal
-    if library is None or not library.begins_at(objective.start):
-        library = imagine_library(model, start, config=config)
-    if config.recalls and config.modalities == "vision":
-        objective = replace(objective, expected=expected_joints(library, objective, model.coding))
 
     def from_start(intention: IntentionState, num_steps: int | None = None) -> Generated:
         return imagine(model, intention, objective.start, num_steps=num_steps or horizon_of(model, config), precision=config.precision)
@@ -131,6 +126,28 @@ def plan(
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
     known = {"start": start, "goal": goal, "error": float(error)} | searched
     return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, expected=objective.expected, **known)
+
+
+def asked_for(model: PDVMRNN, start: Percept, goal: Percept, config: PlanConfig, library: Library | None) -> tuple[ToGoal, Library]:
+    """What a plan is to bring about, with the joints that are expected there, and the library of its start."""
+    wanted = goal_inputs(model, goal, config.modalities)
+    objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests)
+    if library is None or not library.begins_at(objective.start):
+        library = imagine_library(model, start, config=config)
+    if config.recalls and config.modalities == "vision":
+        objective = replace(objective, expected=expected_joints(library, objective, model.coding))
+    return objective, library
+
+
+def recalled_joints(model: PDVMRNN, start: Percept, goal: Percept, *, library: Library | None = None) -> Float[np.ndarray, " J"]:
+    """The joints (rad, or the unit of the data) that memory alone expects at the picture of a goal: a baseline that imagines no way.
+
+    Raises:
+        ValueError: a percept does not fit the model, as in `plan`.
+    """
+    objective, _ = asked_for(model, start, goal, PlanConfig(), library)
+    assert objective.expected is not None
+    return objective.expected.mean.double().cpu().numpy()
 
 
 def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequence[Percept], config: PlanConfig | None = None) -> list[Plan]:

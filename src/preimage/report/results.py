@@ -10,7 +10,7 @@ from preimage.report.charts import growth_chart, intention_map
 from preimage.whole_file import whole_file
 
 Results = Sequence[Mapping[str, Any]]
-BASELINES = ("nearest_demonstration", "behaviour_cloning", "prior_mean", "do_nothing")
+BASELINES = ("nearest_demonstration", "behaviour_cloning", "recalled_joints", "prior_mean", "do_nothing")
 
 
 def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) -> Path:
@@ -71,7 +71,8 @@ HEAD = """# Results
 Written by `preimage report` from the JSON files in `results/`; nothing here is typed by hand. Every count is k/n of test goals that
 neither training nor tuning saw, with the Wilson 95 % interval. The baselines stand beside: *nearest demonstration* replays the
 demonstration whose last frame is most like the goal, *behaviour cloning* maps what is sensed and the goal frame to the next joints,
-*prior mean* is the same model with no goal, *do nothing* leaves the arm where it starts."""
+*recalled joints* goes straight to where the model's memory, without its network, expects the arm at the goal, *prior mean* is the same
+model with no goal, *do nothing* leaves the arm where it starts."""
 
 
 def reach_table(evaluations: Results) -> str:
