@@ -206,5 +206,6 @@ def test_ctrl_c_saves_and_the_run_can_be_resumed(data, tmp_path, capsys, monkeyp
     assert left.value.code == 1
     assert capsys.readouterr().err.splitlines()[-1] == "preimage: interrupted; what was saved is kept"
     monkeypatch.undo()
-    cli.main(["train", str(data), "--out", str(run), "--resume"])
+    cli.main(["train", str(data), "--out", str(run), "--resume", "--updates", "9"])
+    assert f"{run} goes on with the settings it was started with; those given now are left aside" in capsys.readouterr().out
     assert [json.loads(line)["update"] for line in (run / "log.jsonl").read_text().splitlines()] == [1, 2]

@@ -107,7 +107,10 @@ def train_(
     model_config = sized(size, rate_hz=rate_hz, **room)
     if resume:
         learned_from = begun_with(out, data, learned_from["fingerprint"])
-        model_config, config = read_settings(ModelConfig, out, "model"), read_settings(TrainConfig, out, "train")
+        asked, config = config, read_settings(TrainConfig, out, "train")
+        model_config = read_settings(ModelConfig, out, "model")
+        if asked not in (TrainConfig(), config):
+            lines.append(f"{out} goes on with the settings it was started with; those given now are left aside")
     held_out = learned_from.get("held_out", [])
     demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
     about = {"size": size, "num_demonstrations": len(demonstrations), "data": learned_from}
