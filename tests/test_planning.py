@@ -124,6 +124,8 @@ def test_a_plan_ends_as_much_as_memory_weighs_nearer_to_what_it_expects(model: P
     rest = model.coding.decode(imagined.log_codes[0, found.arrival_step :].exp()).mean(0)
     wanted = rest + expected.weight * (expected.mean - rest)
     assert found.joints[-1] == pytest.approx(wanted.numpy(), abs=1e-4)
+    assert found.recalled == pytest.approx(expected.mean.numpy(), abs=1e-6)
+    assert plan(model, start=shown.first, goal=shown.last, config=replace(CONFIG, recalls=False, iterations=1)).recalled is None
 
 
 def test_what_lies_about_and_stays_does_not_change_what_is_expected(model: PDVMRNN) -> None:

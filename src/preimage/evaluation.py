@@ -16,9 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from preimage.execution import execute, execute_open_loop, play
-from preimage.first_guess import Library
 from preimage.model import PDVMRNN
-from preimage.planning import PlanConfig, follow, horizon_of, imagine_library, imagine_without_goal, plan, recalled_joints
+from preimage.planning import PlanConfig, follow, horizon_of, imagine_library, imagine_without_goal, plan
 from preimage.processes import Crew
 from preimage.records import Demonstration, Percept, Plan, Shown, Trial
 from preimage.robot import Arm, Task, record, succeeds_within
@@ -113,7 +112,7 @@ def evaluate(
         demonstration = recorded[goal]
         found = plan(model, start=demonstration.first, goal=goal_of(demonstration, config), config=config, library=library)
         trial = carry_out(model, found, arm, task, demonstration, loop, config)
-        baselines = dict(baselines_of(model, arm, task, demonstration, shown, policies or {}, config, library))
+        baselines = dict(baselines_of(model, arm, task, demonstration, found, shown, policies or {}, config))
         evaluated[goal] = Evaluated(demonstration, found, trial, baselines)
         if progress:
             progress(evaluated[goal])
@@ -139,10 +138,10 @@ def baselines_of(
     arm: Arm,
     task: Task,
     demonstration: Demonstration,
+    found: Plan,
     shown: Sequence[Shown],
     policies: Policies,
     config: PlanConfig,
-    library: Library,
 ) -> Iterator[tuple[str, Trial]]:
     """What would have been reached otherwise."""
     scene, num_steps = demonstration.scene, horizon_of(model, config)
@@ -150,9 +149,9 @@ def baselines_of(
     yield "do_nothing", play(demonstration.joints[:1], demonstration.rate_hz, arm, scene, task=task)
     nearest = nearest_shown(shown, demonstration.last)
     yield "nearest_demonstration", play(nearest.joints, nearest.rate_hz, arm, scene, task=task)
-    recalled = recalled_joints(model, demonstration.first, Percept(demonstration.last.frame), library=library)
-    straight = np.linspace(demonstration.joints[0], recalled, num_steps)
-    yield "recalled_joints", play(straight, model.config.rate_hz, arm, scene, task=task)
+    if found.recalled is not None:
+        straight = np.linspace(demonstration.joints[0], found.recalled, num_steps)
+        yield "recalled_joints", play(straight, model.config.rate_hz, arm, scene, task=task)
     yield "prior_mean", execute(imagine_without_goal(model, demonstration.first, config=config), arm, scene, task=task)
     for name, policy_to in policies.items():
         policy = policy_to(Percept(demonstration.last.frame))

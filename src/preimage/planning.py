@@ -106,7 +106,12 @@ def plan(
     began = time.perf_counter()
     config = config or PlanConfig()
     start = start or home(model)
-    objective, library = asked_for(model, start, goal, config, library)
+    wanted = goal_inputs(model, goal, config.modalities)
+    objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests)
+    if library is None or not library.begins_at(objective.start):
+        library = imagine_library(model, start, config=config)
+    if config.recalls and config.modalities == "vision":
+        objective = replace(objective, expected=expected_joints(library, objective, model.coding))
     beyond_doubt = config.doubt * objective.start_to_goal
 
     def from_start(intention: IntentionState, num_steps: int | None = None) -> Generated:
@@ -126,28 +131,6 @@ def plan(
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
     known = {"start": start, "goal": goal, "error": float(error)} | searched
     return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, expected=objective.expected, **known)
-
-
-def asked_for(model: PDVMRNN, start: Percept, goal: Percept, config: PlanConfig, library: Library | None) -> tuple[ToGoal, Library]:
-    """What a plan is to bring about, with the joints that are expected there, and the library of its start."""
-    wanted = goal_inputs(model, goal, config.modalities)
-    objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests)
-    if library is None or not library.begins_at(objective.start):
-        library = imagine_library(model, start, config=config)
-    if config.recalls and config.modalities == "vision":
-        objective = replace(objective, expected=expected_joints(library, objective, model.coding))
-    return objective, library
-
-
-def recalled_joints(model: PDVMRNN, start: Percept, goal: Percept, *, library: Library | None = None) -> Float[np.ndarray, " J"]:
-    """The joints (rad, or the unit of the data) that memory alone expects at the picture of a goal: a baseline that imagines no way.
-
-    Raises:
-        ValueError: a percept does not fit the model, as in `plan`.
-    """
-    objective, _ = asked_for(model, start, goal, PlanConfig(), library)
-    assert objective.expected is not None
-    return objective.expected.mean.double().cpu().numpy()
 
 
 def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequence[Percept], config: PlanConfig | None = None) -> list[Plan]:
@@ -220,6 +203,7 @@ def plan_of(
         rate_hz=model.config.rate_hz,
         joint_names=model.sensors.joint_names,
         intention=intention.flatten()[0].double().cpu().numpy(),
+        recalled=expected.mean.double().cpu().numpy() if expected else None,
         **known,
     )
 

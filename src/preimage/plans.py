@@ -42,9 +42,7 @@ def save_plan(plan: Plan, folder: Path | str, *, scene: Scene | None = None, com
     with contextlib.ExitStack() as files:  # every file is whole before the first of them moves into its place
         about, arrays, table = (files.enter_context(whole_file(folder / name)) for name in ("plan.json", "plan.npz", "joints.csv"))
         with arrays.open("wb") as file:
-            np.savez_compressed(
-                file, frames=plan.frames, joints=plan.joints, errors=plan.errors, intention=plan.intention, **percepts_of(plan)
-            )
+            np.savez_compressed(file, **{name: getattr(plan, name) for name in ARRAYS}, **known_of(plan))
         with table.open("w", newline="") as file:
             rows = csv.writer(file)
             rows.writerow(["time_s", *plan.joint_names])
@@ -85,10 +83,11 @@ def save_episode(
         draft.replace(folder)
 
 
-def percepts_of(plan: Plan) -> dict[str, Any]:
-    """The parts of start and goal that are there, by the names they have in plan.npz."""
+def known_of(plan: Plan) -> dict[str, Any]:
+    """The parts of start and goal, and what was recalled, as far as they are there, by the names they have in plan.npz."""
     ends = (("start", plan.start), ("goal", plan.goal))
     parts = {f"{end}_{part}": getattr(percept, part) for end, percept in ends for part in ("frame", "joints")}
+    parts["recalled"] = plan.recalled
     return {name: value for name, value in parts.items() if value is not None}
 
 
@@ -109,6 +108,7 @@ def load_plan(folder: Path | str) -> tuple[Plan, Scene | None]:
             **{name: parts[name] for name in ARRAYS},
             start=Percept(parts.get("start_frame"), parts.get("start_joints")),
             goal=Percept(parts.get("goal_frame"), parts.get("goal_joints")),
+            recalled=parts.get("recalled"),
             joint_names=tuple(about["joint_names"]),
             stopped=Stopped[about["stopped"]],
             **{name: about[name] for name in NUMBERS},
