@@ -224,6 +224,15 @@ def test_a_goal_of_joints_alone_brings_the_picture_along(model: PDVMRNN) -> None
     assert missed < 0.4 * ignored
 
 
+@pytest.mark.parametrize("modalities", ["joints", "both"])
+def test_a_plan_ends_with_the_joints_that_are_asked_for(model: PDVMRNN, modalities: str) -> None:
+    shown = bar(0.65)
+    found = plan(model, start=shown.first, goal=shown.last, config=replace(CONFIG, modalities=modalities))
+    assert found.joints[-1] == pytest.approx(shown.joints[-1], abs=1e-6)
+    assert found.joints[found.arrival_step] == pytest.approx(shown.joints[-1], abs=1e-6)
+    assert found.recalled is None
+
+
 def test_a_modality_that_is_left_out_is_not_looked_at(model: PDVMRNN) -> None:
     shown = bar(0.65)
     misleading = Percept(shown.last.frame, shown.first.joints)

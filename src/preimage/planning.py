@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from preimage.arrival import bent_to
+from preimage.arrival import bent_to, certain
 from preimage.blurring import change
 from preimage.coding import to_frames, to_pixels
 from preimage.first_guess import Library, expected_joints, feel_alike, first_guesses
@@ -130,7 +130,13 @@ def plan(
         error, arrival = objective.errors(imagined)
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
     known = {"start": start, "goal": goal, "error": float(error)} | searched
-    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, expected=objective.expected, **known)
+    end = objective.expected
+    if end:
+        known["recalled"] = end.mean.double().cpu().numpy()
+    elif config.modalities != "vision":
+        assert goal.joints is not None
+        end = certain(model.coding, goal.joints)
+    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, end=end, **known)
 
 
 def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequence[Percept], config: PlanConfig | None = None) -> list[Plan]:
@@ -182,20 +188,20 @@ def plan_of(
     arrival_step: int,
     *,
     rests: bool = False,
-    expected: ExpectedJoints | None = None,
+    end: ExpectedJoints | None = None,
     **known: Any,
 ) -> Plan:
     """What was imagined, as the record that leaves this room.
 
     Args:
         rests: whether the robot stays where it arrives: at the mean of the joints from then on, without the sway of single steps.
-        expected: what else is known of the joints at the goal; the way there is bent to agree with it.
+        end: what else is known of the joints at the goal; the way there is bent to agree with it.
     """
     joints = model.coding.decode(imagined.log_codes[0].exp()).double()
     if rests:
         joints[arrival_step:] = joints[arrival_step:].mean(0)
-    if expected:
-        joints = bent_to(expected, joints, arrival_step)
+    if end:
+        joints = bent_to(end, joints, arrival_step)
     return Plan(
         frames=to_frames(imagined.pixels[0]).cpu().numpy(),
         joints=joints.cpu().numpy(),
@@ -203,7 +209,6 @@ def plan_of(
         rate_hz=model.config.rate_hz,
         joint_names=model.sensors.joint_names,
         intention=intention.flatten()[0].double().cpu().numpy(),
-        recalled=expected.mean.double().cpu().numpy() if expected else None,
         **known,
     )
 
