@@ -41,6 +41,7 @@ ORDER = [
     "regression",
     "recall",
     "first_guess",
+    "arrival",
     "planning",
     "plans",
     "sources",
