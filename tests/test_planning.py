@@ -32,7 +32,7 @@ def bar(far: float, num_steps: int = 6) -> Demonstration:
 @pytest.fixture(scope="module")
 def model() -> PDVMRNN:
     shown = [bar(far) for far in np.linspace(0.2, 1, 6)]
-    config = TrainConfig(updates=200, batch_size=6, learning_rate=1e-2, rest_steps=3, precision="float32")
+    config = TrainConfig(updates=120, batch_size=6, learning_rate=1e-2, rest_steps=3, precision="float32")
     return train(shown, replace(ModelConfig.tiny(), intention_cost=1e-3), config=config)
 
 
