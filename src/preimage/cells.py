@@ -96,15 +96,18 @@ class Weights(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, weight: Tensor, bias: Tensor, layer: Map, dtype: torch.dtype, tape: Tape | None) -> tuple[Tensor, Tensor]:
-        ctx.layer, ctx.dtype, ctx.tape = layer, dtype, tape
-        return weight.to(dtype, copy=True), bias.to(dtype, copy=True)
+        ctx.layer, ctx.tape = layer, tape
+        ctx.set_materialize_grads(False)
+        narrow = weight.to(dtype, copy=True)
+        ctx.save_for_backward(narrow)
+        return narrow, bias.to(dtype, copy=True)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *_: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, *_: None) -> tuple[Tensor | None, ...]:
         if not ctx.tape:
             return None, None, None, None, None
-        of_weight, of_bias = ctx.layer.weight_gradient(ctx.tape, ctx.layer.weight.detach().to(ctx.dtype))
+        of_weight, of_bias = ctx.layer.weight_gradient(ctx.tape, *ctx.saved_tensors)
         ctx.tape.clear()
         return of_weight.to(ctx.layer.weight.dtype), of_bias.to(ctx.layer.bias.dtype), None, None, None
 
@@ -158,7 +161,8 @@ class Gate(torch.autograd.Function):
         opened, cell, squashed = ctx.saved_tensors
         admit, keep, show, candidate = opened.movedim(-1, 2)
         of_hidden = of_hidden.to(cell.dtype)
-        of_cell = of_cell + torch.ops.aten.tanh_backward(of_hidden * show, squashed)
+        # Into a tensor that lies as the others do: the first to come back are zeros that lie otherwise, and all would follow them.
+        of_cell = torch.ops.aten.tanh_backward(of_hidden * show, squashed).add_(of_cell)
         back = torch.empty_like(opened)
         gates = back.movedim(-1, 2)
         torch.mul(of_cell, candidate, out=gates[0])
