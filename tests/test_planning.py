@@ -13,7 +13,7 @@ from preimage.model import PDVMRNN, Generated, InputSequence, ModelConfig
 from preimage.planning import PlanConfig, as_inputs, follow, imagine, imagine_library, join, plan, plan_in_turn, recognise
 from preimage.prediction_error import ExpectedJoints, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
-from preimage.regression import Places, leaps_from, learn_from_leap, regress_intention
+from preimage.regression import Known, Places, leaps_from, learn_from_leap, regress_intention, slopes_among
 from preimage.training import TrainConfig, train
 
 CONFIG = PlanConfig(precision="float32")
@@ -293,6 +293,28 @@ def test_a_leap_solves_what_is_linear_and_learns_what_it_did() -> None:
     there = Places(torch.tensor([[0.1, -0.2, 0.3]]), torch.zeros(1), here.aims, torch.randn(1, 7, generator=generator))
     learned = learn_from_leap(slopes, here, there)
     torch.testing.assert_close(((there.points - here.points)[:, :, None] * learned).sum(1), there.residuals - here.residuals)
+
+
+def test_slopes_are_told_by_what_is_known_around(model: PDVMRNN) -> None:
+    space = model.intention_table.space(2)
+    start, goal = as_inputs(model, bar(0.5).first, name="start"), as_inputs(model, bar(0.5).last, name="goal")
+    generator = torch.Generator().manual_seed(0)
+    points = torch.cat([torch.zeros(1, 2), 0.02 * torch.randn(20, 2, generator=generator)])
+    objective = ToGoal(start, goal)
+    generated = imagine(model, space.intention(points), start, num_steps=6, precision="float32")
+    errors, aims = objective.errors(generated)
+    residuals = objective.residuals(generated, aims[:1].expand(21))
+    here = Places(points[:1], errors[:1], aims[:1], residuals[:1])
+    told = slopes_among(here, Known(points, generated), objective)[0]
+    for way in torch.eye(2):
+        near = imagine(model, space.intention(points[:1] + 0.01 * way), start, num_steps=6, precision="float32")
+        measured = (objective.residuals(near, aims[:1]) - residuals[:1])[0] / 0.01
+        assert (way @ told - measured).norm() < 0.1 * measured.norm()
+
+
+def test_a_library_that_looks_less_far_ahead_is_not_used(model: PDVMRNN) -> None:
+    library = imagine_library(model, config=replace(CONFIG, horizon=4))
+    assert len(plan(model, goal=bar(0.5).last, config=replace(CONFIG, horizon=6), library=library).joints) == 6
 
 
 def test_a_model_of_one_demonstration_plans() -> None:

@@ -32,9 +32,10 @@ class Library:
     ends: Float[Tensor, "N J"]
     """The joints in which each ends (rad)."""
 
-    def begins_at(self, start: Sensed) -> bool:
-        """Whether a plan may begin at this start as well: nothing that can be seen or felt stands elsewhere."""
-        return bool(visual_error(self.start[0], start[0]) < SAME_VISUAL) and feel_alike(self.start[1], start[1])
+    def serves(self, start: Sensed, num_steps: int) -> bool:
+        """Whether a plan may begin at this start as well: it looks as far ahead, and nothing that can be seen or felt stands elsewhere."""
+        alike = bool(visual_error(self.start[0], start[0]) < SAME_VISUAL) and feel_alike(self.start[1], start[1])
+        return alike and self.imagined.pixels.shape[1] == num_steps
 
 
 def feel_alike(one: Float[Tensor, "J K"], other: Float[Tensor, "J K"]) -> bool:

@@ -22,7 +22,7 @@ from preimage.intention import IntentionState, unflatten
 from preimage.model import PDVMRNN, Generated, Inputs, Sensed
 from preimage.prediction_error import ExpectedJoints, Modalities, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
-from preimage.regression import Regression, RegressionConfig, regress_intention
+from preimage.regression import Known, Regression, RegressionConfig, regress_intention
 from preimage.sequences import at_rate
 from preimage.wording import number_of
 
@@ -95,7 +95,8 @@ def plan(
         model: a trained network.
         start: what is sensed now, frame and joints; by default the mean first percept of the demonstrations.
         goal: what is wanted; of it only the modalities that `config.modalities` names are looked at.
-        library: imagined training sequences (`imagine_library`), used where they begin as the plan does; else they are imagined anew.
+        library: imagined training sequences (`imagine_library`), used where they begin and look ahead as the plan does; else they are
+            imagined anew.
 
     Returns:
         a plan, always; its error and its reason to have stopped say how far to trust it.
@@ -108,7 +109,7 @@ def plan(
     start = start or home(model)
     wanted = goal_inputs(model, goal, config.modalities)
     objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests)
-    if library is None or not library.begins_at(objective.start):
+    if library is None or not library.serves(objective.start, horizon_of(model, config)):
         library = imagine_library(model, start, config=config)
     if config.recalls and config.modalities == "vision":
         objective = replace(objective, expected=expected_joints(library, objective, model.coding))
@@ -119,9 +120,10 @@ def plan(
 
     space = model.intention_table.space(config.dimensions)
     guesses = first_guesses(library, objective, model.coding, space.training, count=max(config.guesses, config.candidates))
+    known = Known(space.training, library.imagined)
     tried: list[Regression] = []
     for some in filter(len, (guesses[: config.candidates], guesses[config.candidates :])):
-        tried.append(regress_intention(space, some, from_start, objective, config=config))
+        tried.append(regress_intention(space, some, from_start, objective, config=config, known=known))
         if tried[-1].error.min() < beyond_doubt:
             break
     found = min(tried, key=lambda one: float(one.error.min()))
@@ -129,14 +131,14 @@ def plan(
         imagined = from_start(found.best)
         error, arrival = objective.errors(imagined)
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
-    known = {"start": start, "goal": goal, "error": float(error)} | searched
+    told = {"start": start, "goal": goal, "error": float(error)} | searched
     end = objective.expected
     if end:
-        known["recalled"] = end.mean.double().cpu().numpy()
+        told["recalled"] = end.mean.double().cpu().numpy()
     elif config.modalities != "vision":
         assert goal.joints is not None
         end = certain(model.coding, goal.joints)
-    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, end=end, **known)
+    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, end=end, **told)
 
 
 def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequence[Percept], config: PlanConfig | None = None) -> list[Plan]:

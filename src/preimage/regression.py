@@ -1,10 +1,11 @@
 """Error regression: move an intention until what is imagined from it has the least prediction error, the weights frozen.
 
 Two ways down. `descend` is the paper's: the error is carried back through the whole imagined sequence and Adam moves the intention.
-`leap` makes use of an intention of few numbers: it imagines each of them a little changed, learns from that how every pixel would
-move, and solves for the change that brings all pixels nearest to where they should be (Gauss-Newton, damped as by Levenberg and
-Marquardt). It needs no gradient and arrives in a handful of iterations; what a leap itself teaches about the slopes is used for the next
-(Broyden 1965), so that most iterations imagine three sequences and no more.
+`leap` makes use of an intention of few numbers: it learns how every pixel would move with each of them, and solves for the change that
+brings all pixels nearest to where they should be (Gauss-Newton, damped as by Levenberg and Marquardt). It needs no gradient and arrives
+in a handful of iterations. Slopes come cheaply from what is known: at first from a regression on what is imagined already for other
+intentions, then from what a leap itself teaches (Broyden 1965), so that most iterations imagine three sequences and no more. They are
+measured, by changing a number a little, only at first and where a leap brings too little, and only in the few directions that matter most.
 
 Several intentions are regressed side by side, for the error has many valleys; those that fall behind are dropped.
 """
@@ -83,6 +84,14 @@ class Regression:
         return self.intention[self.error.argmin()[None]]
 
 
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Places in the intention space of which it is known what is imagined from them, as the search would."""
+
+    points: Float[Tensor, "N K"]
+    generated: Generated
+
+
 def regress_intention(
     space: IntentionSpace,
     coordinates: Float[Tensor, "B K"],
@@ -90,14 +99,18 @@ def regress_intention(
     objective: Objective,
     *,
     config: RegressionConfig,
+    known: Known | None = None,
 ) -> Regression:
     """Lower the error from each of B places in the intention space. The weights are not touched.
+
+    Where leaping, what is known of other places tells the first slopes; they are measured where it is less than coordinates.
 
     The error that is returned is that of the intention that is returned, the best seen: the last value of a loop belongs to the step
     before.
     """
-    search = leap if config.method == "leap" else descend
-    return search(space, coordinates, imagine, objective, config)
+    if config.method == "leap":
+        return leap(space, coordinates, imagine, objective, config, known)
+    return descend(space, coordinates, imagine, objective, config)
 
 
 def descend(
@@ -146,27 +159,36 @@ BEHIND = 1.3
 """A candidate whose error is more than this many times the lowest after a leap is dropped."""
 LEADING = 8
 """Directions in which slopes are measured anew."""
+NEIGHBOURS = 100
+"""How many known places tell the slopes at another: they have to be kept all at once."""
 ENOUGH = 0.2
 """A leap that lowers the error by less than this share of it is not worth another from the same slopes."""
 
 
 @torch.no_grad()
 def leap(
-    space: IntentionSpace, coordinates: Float[Tensor, "B K"], imagine: Imagine, objective: Objective, config: RegressionConfig
+    space: IntentionSpace,
+    coordinates: Float[Tensor, "B K"],
+    imagine: Imagine,
+    objective: Objective,
+    config: RegressionConfig,
+    known: Known | None,
 ) -> Regression:
-    """Gauss-Newton on the residuals, their slopes found by imagining each coordinate a little changed."""
+    """Gauss-Newton on the residuals."""
 
     def visit(points: Tensor) -> Places:
         generated = imagine(space.intention(points), None)
         error, aims = objective.errors(generated)
         return Places(points, error, aims, objective.residuals(generated, aims))
 
-    here, slopes, stale = visit(coordinates), None, True
+    here = visit(coordinates)
+    enough = known is not None and len(known.points) > coordinates.shape[1]
+    slopes, stale = (slopes_among(here, known, objective) if known and enough else None), True
     lowest = [here.error.min()]
     stopped = Stopped.ITERATIONS
     for _ in range(config.most_iterations):
         fresh = stale
-        if slopes is None or stale:
+        if stale:
             slopes = slopes_at(here, slopes, space, imagine, objective, config.probe)
         tried = visit(leaps_from(here, slopes, config.intention_cost).flatten(0, 1))
         there = better_of(here, tried)
@@ -181,25 +203,44 @@ def leap(
     return Regression(space.intention(here.points), here.error, torch.stack(lowest), stopped)
 
 
+def slopes_among(here: Places, known: Known, objective: Objective) -> Float[Tensor, "B K R"]:
+    """How the residuals change with each coordinate, as what is imagined elsewhere tells: a linear regression, nearer places before
+    farther ones, and damped, for there may be fewer of them than coordinates."""
+
+    def at(place: Tensor) -> Tensor:
+        ways = known.points - here.points[place]
+        distances = ways.square().sum(1)
+        near = distances.argsort()[:NEIGHBOURS]
+        ways, nearness = ways[near], 1 / (1 + distances[near] / distances[near].median().clamp(min=1e-9))
+        generated = Generated(known.generated.pixels[near], known.generated.log_codes[near])
+        changes = objective.residuals(generated, here.aims[place].expand(len(near))) - here.residuals[place]
+        weighed = ways.T * nearness
+        curvature = weighed @ ways
+        damping = 1e-3 * curvature.diagonal().mean() + 1e-9
+        return torch.linalg.solve(curvature + damping * torch.eye(len(weighed)).to(weighed), weighed @ changes)
+
+    return torch.stack([at(place) for place in torch.arange(len(here.points))])
+
+
 def slopes_at(
-    here: Places, known: Float[Tensor, "B K R"] | None, space: IntentionSpace, imagine: Imagine, objective: Objective, probe: float
+    here: Places, told: Float[Tensor, "B K R"] | None, space: IntentionSpace, imagine: Imagine, objective: Objective, probe: float
 ) -> Float[Tensor, "B K R"]:
     """How the residuals change with each coordinate, the aims held. Nothing later than the last aim need be imagined.
 
-    Slopes that are known from a place nearby are measured anew in their leading directions alone, those in which the residuals change
+    Slopes that are told by places nearby are measured anew in their leading directions alone, those in which the residuals change
     most; the others hardly matter to a leap.
     """
     count, dimensions = here.points.shape
-    if known is None:
-        known = here.residuals.new_zeros(count, dimensions, here.residuals.shape[1])
+    if told is None:
+        told = here.residuals.new_zeros(count, dimensions, here.residuals.shape[1])
         directions = torch.eye(dimensions).to(here.points).expand(count, -1, -1)
     else:
-        directions = torch.linalg.eigh(known @ known.mT).eigenvectors.mT[:, -LEADING:]  # (B, D, K)
+        directions = torch.linalg.eigh(told @ told.mT).eigenvectors.mT[:, -LEADING:]  # (B, D, K)
     probes = here.points[:, None] + probe * directions
     changed = imagine(space.intention(probes.flatten(0, 1)), objective.steps_until(here.aims))
     residuals = objective.residuals(changed, here.aims.repeat_interleave(probes.shape[1]))
     measured = (residuals.view(*probes.shape[:2], -1) - here.residuals[:, None]) / probe
-    return known + directions.mT @ (measured - directions @ known)
+    return told + directions.mT @ (measured - directions @ told)
 
 
 def learn_from_leap(slopes: Float[Tensor, "B K R"], here: Places, there: Places) -> Float[Tensor, "B K R"]:
