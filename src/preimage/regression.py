@@ -182,13 +182,14 @@ def leap(
         return Places(points, error, aims, objective.residuals(generated, aims))
 
     here = visit(coordinates)
-    enough = known is not None and len(known.points) > coordinates.shape[1]
-    slopes, stale = (slopes_among(here, known, objective) if known and enough else None), True
+    slopes, stale = None, True
+    if known and len(known.points) > coordinates.shape[1]:
+        slopes = slopes_among(here, known, objective)
     lowest = [here.error.min()]
     stopped = Stopped.ITERATIONS
     for _ in range(config.most_iterations):
         fresh = stale
-        if stale:
+        if slopes is None or stale:
             slopes = slopes_at(here, slopes, space, imagine, objective, config.probe)
         tried = visit(leaps_from(here, slopes, config.intention_cost).flatten(0, 1))
         there = better_of(here, tried)
