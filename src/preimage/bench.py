@@ -29,7 +29,7 @@ from preimage.training import Learner, TrainConfig, error_of, optimiser_of
 ARM = Sensors(64, 64, 1, ("yaw", "shoulder", "elbow", "wrist"), (-1.0,) * 4, (1.0,) * 4)
 PEER = Sensors(48, 64, 1, ("pan", "tilt"), (-1.0,) * 2, (1.0,) * 2)
 """Frames and joints of P-VMDNN."""
-PEER_CONFIG = ModelConfig(vision_channels=(6, 8, 8), motor_units=(16, 8, 6), top_channels=6, lateral_channels=2)
+PEER_CONFIG = ModelConfig(vision_channels=(6, 8, 8), motor_units=(16, 8, 6), top_channels=6, lateral_channels=2, seen_channels=2)
 """About P-VMDNN's 42,000 weights."""
 REPEATS = 3
 """How often long work is timed; the fastest counts."""

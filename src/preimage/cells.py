@@ -235,11 +235,11 @@ def depth_to_space(maps: Tensor) -> Tensor:
 class Lateral(nn.Module):
     """The tie between the two paths at one level, through a few feature maps on a coarse grid."""
 
-    def __init__(self, *, channels: int, units: int, size: tuple[int, int], grid: tuple[int, int], lateral: int) -> None:
+    def __init__(self, *, channels: int, units: int, size: tuple[int, int], grid: tuple[int, int], lateral: int, seen: int) -> None:
         super().__init__()
         self.grid, self.scale, self.lateral = grid, size[0] // grid[0], lateral
         self.from_motor = Linear(units, lateral * grid[0] * grid[1])
-        self.from_vision = Linear(channels, lateral)
+        self.from_vision = Linear(channels, seen)
 
     def to_vision(self, dtype: torch.dtype) -> Step:
         """(B, units) to (B, lateral, height, width)."""
@@ -252,7 +252,7 @@ class Lateral(nn.Module):
         return step
 
     def to_motor(self, dtype: torch.dtype) -> Step:
-        """(B, channels, height, width) to (B, lateral * grid)."""
+        """(B, channels, height, width) to (B, seen * grid)."""
         project = self.from_vision.at(dtype)
 
         def step(hidden: Tensor) -> Tensor:

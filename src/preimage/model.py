@@ -57,7 +57,9 @@ class ModelConfig:
     units_per_joint: int = 10
     """Units K of the population code of one joint (section II-A)."""
     lateral_channels: int = 4
-    """Feature maps that carry one path to its counterpart; the paper does not say how many."""
+    """Feature maps that carry the motor path to the vision path; the paper does not say how many."""
+    seen_channels: int = 4
+    """Feature maps that carry vision to the motors: the more, the more exactly they are told where a thing lies."""
     intention_layers: tuple[str, ...] = ("top", "vision3", "motor3")
     """Layers whose initial states are the intention; the others start from a learned state that all sequences share."""
     intention_dimensions: int | None = 16
@@ -73,7 +75,7 @@ class ModelConfig:
     def tiny(cls) -> Self:
         """For tests: learns nothing worth seeing, in seconds."""
         layers = "top", "vision2", "motor2"
-        return cls((6, 8), (12, 8), top_channels=4, lateral_channels=2, intention_layers=layers, intention_dimensions=4)
+        return cls((6, 8), (12, 8), top_channels=4, lateral_channels=2, seen_channels=2, intention_layers=layers, intention_dimensions=4)
 
     @classmethod
     def small(cls) -> Self:
@@ -157,7 +159,7 @@ class PDVMRNN(nn.Module):
         config, sensors, shapes = self.config, self.sensors, self.state_shapes
         vision, motor, top, lateral = config.vision_channels, config.motor_units, config.top_channels, config.lateral_channels
         grid, top_size = shapes[f"vision{config.num_levels}"][1:], shapes["top"][1:]
-        features = lateral * grid[0] * grid[1]
+        features = config.seen_channels * grid[0] * grid[1]
         self.coding = JointCoding(torch.tensor(sensors.joint_lower), torch.tensor(sensors.joint_upper), config.units_per_joint)
         num_codes = sensors.num_joints * config.units_per_joint
 
@@ -166,7 +168,7 @@ class PDVMRNN(nn.Module):
         self.ups = nn.ModuleList(Up(low, into) for low, into in zip((sensors.channels, *vision), (*flow, top), strict=True))
         self.downs = nn.ModuleList(Down(high, into) for into, high in zip(flow, (*vision[1:], top), strict=True))
         self.laterals = nn.ModuleList(
-            Lateral(channels=c, units=u, size=shapes[f"vision{level}"][1:], grid=grid, lateral=lateral)
+            Lateral(channels=c, units=u, size=shapes[f"vision{level}"][1:], grid=grid, lateral=lateral, seen=config.seen_channels)
             for level, (c, u) in enumerate(zip(vision, motor, strict=True), start=1)
         )
         self.motor_to_top = Linear(motor[-1], lateral * top_size[0] * top_size[1])
