@@ -83,10 +83,10 @@ Map = Linear | Conv
 def stepwise(layer: Map, dtype: torch.dtype) -> Step:
     """The layer in this precision as a function of one step's input, its weight gradient summed once over all steps."""
     assert layer.bias is not None
-    if not torch.is_grad_enabled():
+    if not (torch.is_grad_enabled() and layer.weight.requires_grad):
         fixed = layer.weight.to(dtype), layer.bias.to(dtype)
         return lambda inputs: layer.value(inputs, *fixed)
-    tape: Tape | None = [] if layer.weight.requires_grad else None
+    tape: Tape = []
     weight, bias = Weights.apply(layer.weight, layer.bias, layer, dtype, tape)  # pyright: ignore[reportGeneralTypeIssues]
     return lambda inputs: MapStep.apply(inputs, weight, bias, layer, tape)  # pyright: ignore[reportReturnType]
 
@@ -95,7 +95,7 @@ class Weights(torch.autograd.Function):
     """A layer's weight and bias in another precision. Its backward comes last, when the tape holds every step."""
 
     @staticmethod
-    def forward(ctx: Any, weight: Tensor, bias: Tensor, layer: Map, dtype: torch.dtype, tape: Tape | None) -> tuple[Tensor, Tensor]:
+    def forward(ctx: Any, weight: Tensor, bias: Tensor, layer: Map, dtype: torch.dtype, tape: Tape) -> tuple[Tensor, Tensor]:
         ctx.layer, ctx.tape = layer, tape
         ctx.set_materialize_grads(False)
         narrow = weight.to(dtype, copy=True)
@@ -116,7 +116,7 @@ class MapStep(torch.autograd.Function):
     """One step of a layer. Its backward gives the input's gradient and leaves the weight's to `Weights`."""
 
     @staticmethod
-    def forward(ctx: Any, inputs: Tensor, weight: Tensor, bias: Tensor, layer: Map, tape: Tape | None) -> Tensor:
+    def forward(ctx: Any, inputs: Tensor, weight: Tensor, bias: Tensor, layer: Map, tape: Tape) -> Tensor:
         ctx.layer, ctx.tape = layer, tape
         ctx.save_for_backward(inputs, weight)
         return layer.value(inputs, weight, bias)
@@ -125,8 +125,7 @@ class MapStep(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         inputs, weight = ctx.saved_tensors
-        if ctx.tape is not None:
-            ctx.tape.append((inputs, gradient))
+        ctx.tape.append((inputs, gradient))
         back = ctx.layer.input_gradient(gradient, inputs, weight) if ctx.needs_input_grad[0] else None
         return back, None, None, None, None
 

@@ -9,7 +9,7 @@ from preimage.training import TrainConfig
 
 LEAST = {
     **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every"), 1),
-    **dict.fromkeys(("candidates", "guesses", "horizon", "dimensions", "intention_dimensions"), 1),
+    **dict.fromkeys(("candidates", "guesses", "horizon", "dimensions", "intention_dimensions", "seen_channels"), 1),
     "blend_parts": 2,
     **dict.fromkeys(("rest_steps", "seed", "iterations", "intention_cost", "doubt"), 0),
 }
