@@ -1,10 +1,12 @@
 """Laws of arriving: a plan ends between what is imagined and expected, begins as imagined and stays in the joints' ranges."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from preimage.arrival import bent_to
+from preimage.arrival import SURE, End, bent_to
 from preimage.coding import JointCoding
 from preimage.prediction_error import ExpectedJoints
 
@@ -19,39 +21,47 @@ def way() -> torch.Tensor:
     return torch.cat([joints, joints[-1:]])
 
 
-def expected(move: tuple[float, float], weight: tuple[float, float]) -> ExpectedJoints:
-    mean = way()[ARRIVAL].float() + torch.tensor(move)
-    return ExpectedJoints(CODING, mean, torch.full((2,), 0.1), torch.tensor(weight))
+def end(move: tuple[float, float], weight: tuple[float, float]) -> End:
+    return End(way()[ARRIVAL] + torch.tensor(move), torch.tensor(weight))
 
 
 def test_a_plan_arrives_between_what_is_imagined_and_expected() -> None:
-    bent = bent_to(expected((0.08, -0.12), (0.75, 0.5)), way(), ARRIVAL)
+    bent = bent_to(end((0.08, -0.12), (0.75, 0.5)), way(), ARRIVAL, CODING)
     for step in (ARRIVAL, ARRIVAL + 1):
         assert (bent[step] - way()[step]).numpy() == pytest.approx([0.06, -0.06], abs=1e-6)
 
 
 def test_far_from_the_goal_a_plan_stays_as_imagined_and_nearer_it_is_bent_more() -> None:
-    moved = (bent_to(expected((0.08, -0.12), (1.0, 1.0)), way(), ARRIVAL) - way()).norm(dim=1).numpy()
+    moved = (bent_to(end((0.08, -0.12), (1.0, 1.0)), way(), ARRIVAL, CODING) - way()).norm(dim=1).numpy()
     assert moved[0] < 1e-3 * moved[ARRIVAL]
     assert (np.diff(moved[: ARRIVAL + 1]) > 0).all()
 
 
 def test_a_joint_of_which_memory_tells_nothing_is_left_alone() -> None:
-    bent = bent_to(expected((0.3, 0.1), (0.0, 1.0)), way(), ARRIVAL)
+    bent = bent_to(end((0.3, 0.1), (0.0, 1.0)), way(), ARRIVAL, CODING)
     assert torch.equal(bent[:, 0], way()[:, 0])
 
 
 @pytest.mark.parametrize("move", [(0.3, 0.1), (0.0, 0.0)])
 def test_nothing_expected_bends_nothing(move: tuple[float, float]) -> None:
-    assert torch.equal(bent_to(expected(move, (0.0, 0.0)), way(), ARRIVAL), way())
+    assert torch.equal(bent_to(end(move, (0.0, 0.0)), way(), ARRIVAL, CODING), way())
 
 
 def test_joints_stay_within_their_ranges() -> None:
-    bent = bent_to(expected((5.0, 5.0), (1.0, 1.0)), way(), ARRIVAL)
+    bent = bent_to(end((5.0, 5.0), (1.0, 1.0)), way(), ARRIVAL, CODING)
     assert bent[ARRIVAL].tolist() == [1.0, 2.0]
 
 
 def test_a_plan_that_stays_where_it_is_arrives_as_well() -> None:
     staying = way()[:1].repeat(3, 1)
-    bent = bent_to(ExpectedJoints(CODING, staying[0].float() + 0.1, torch.full((2,), 0.1), torch.ones(2)), staying, 0)
+    bent = bent_to(End(staying[0] + 0.1, torch.ones(2)), staying, 0, CODING)
     assert (bent - staying).numpy() == pytest.approx(0.1, abs=1e-6)
+
+
+def test_memory_weighs_by_how_sure_it_is_and_the_more_the_less_sure_a_plan_is() -> None:
+    expected = ExpectedJoints(CODING, torch.zeros(2), torch.tensor([0.1, 0.2]), imagined=torch.tensor([0.1, 0.1]))
+    sure, unsure = (End.expected(expected, unexplained).weight.tolist() for unexplained in (0.5 * SURE, 4 * SURE))
+    assert sure == pytest.approx([0.5, 0.2])  # as inverse variances
+    assert unsure == pytest.approx([0.8, 0.5])
+    nothing_told = replace(expected, deviation=torch.full((2,), torch.inf))
+    assert End.expected(nothing_told, 0.0).weight.tolist() == [0.0, 0.0]

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from preimage.arrival import End
 from preimage.first_guess import expected_joints
 from preimage.intention import unflatten
 from preimage.model import PDVMRNN, Generated, InputSequence, ModelConfig
 from preimage.planning import PlanConfig, as_inputs, follow, imagine, imagine_library, join, plan, plan_in_turn, recognise
-from preimage.prediction_error import ExpectedJoints, ToGoal, ToSequence
+from preimage.prediction_error import WIDER, ExpectedJoints, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Known, Places, leaps_from, learn_from_leap, regress_intention, slopes_among
 from preimage.training import TrainConfig, train
@@ -87,12 +88,12 @@ def test_residuals_are_the_error_near_the_goal(model: PDVMRNN, modalities: str) 
     assert goal.residuals(near, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
 
 
-def test_expected_joints_are_charged_by_their_distance_in_deviations(model: PDVMRNN) -> None:
+def test_expected_joints_are_charged_by_their_distance_in_wide_deviations(model: PDVMRNN) -> None:
     goal = objective(model)
     pixels, codes = (torch.stack(parts)[None] for parts in zip(goal.start, goal.goal, strict=True))
     there = Generated(pixels, codes.log())
     joints = model.coding.decode(goal.goal[1])
-    expected = ExpectedJoints(model.coding, joints + torch.tensor([0.2, -0.1]), torch.tensor([0.1, 0.1]), torch.ones(2))
+    expected = ExpectedJoints(model.coding, joints + torch.tensor([0.2, -0.1]), torch.full((2,), 0.1 / WIDER), torch.ones(2))
     charged, free = replace(goal, expected=expected), goal
     assert (charged.goal_error(there) - free.goal_error(there))[0, 1].item() == pytest.approx(2.5, rel=0.02)
     error, arrival = charged.errors(there)
@@ -110,19 +111,21 @@ def test_memory_weighs_little_where_it_tells_endings_badly(model: PDVMRNN) -> No
     goal = objective(model)
     library = imagine_library(model, bar(0.7).first, config=CONFIG)
     ends = torch.rand(library.ends.shape, generator=torch.Generator().manual_seed(1))
-    weights = [expected_joints(each, goal, model.coding).weight for each in (library, replace(library, ends=ends))]
+    weights = [End.expected(expected_joints(each, goal, model.coding), 0.0).weight for each in (library, replace(library, ends=ends))]
     assert (weights[0] > 0.3).all()
     assert (weights[1] < 0.1).all()
 
 
 def test_a_plan_ends_as_much_as_memory_weighs_nearer_to_what_it_expects(model: PDVMRNN) -> None:
     shown = bar(0.8)
-    expected = expected_joints(imagine_library(model, shown.first, config=CONFIG), objective_to(model, shown), model.coding)
+    goal = objective_to(model, shown)
+    expected = expected_joints(imagine_library(model, shown.first, config=CONFIG), goal, model.coding)
     found = plan(model, start=shown.first, goal=Percept(shown.last.frame), config=CONFIG)
+    unexplained = found.error / replace(goal, expected=expected).start_to_goal
     start, way = as_inputs(model, shown.first, name="start"), torch.from_numpy(found.intention).float()[None]
     imagined = imagine(model, unflatten(way, model.intention_table.shapes), start, num_steps=len(found), precision="float32")
     rest = model.coding.decode(imagined.log_codes[0, found.arrival_step :].exp()).mean(0)
-    wanted = rest + expected.weight * (expected.mean - rest)
+    wanted = rest + End.expected(expected, unexplained).weight * (expected.mean - rest)
     assert found.joints[-1] == pytest.approx(wanted.numpy(), abs=1e-4)
     assert found.recalled == pytest.approx(expected.mean.numpy(), abs=1e-6)
     assert plan(model, start=shown.first, goal=shown.last, config=replace(CONFIG, recalls=False, iterations=1)).recalled is None

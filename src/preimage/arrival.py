@@ -2,10 +2,13 @@
 
 The network was trained to regenerate what it was shown, and a goal between what it was shown it imagines a little beside itself: an
 arm that looks right in the picture, and joints that are off by a degree or two. Memory (`first_guess.expected_joints`) is off as well,
-but elsewhere, and it knows by how much. So the last joints are the mean of both, each weighed by its inverse variance, and the way is
-bent to them where it is near the goal: further away, where the hand may have to touch something first, it stays as imagined. Where the
-goal is given as joints nothing has to be weighed: there the plan ends.
+but elsewhere, and it knows by how much. So the last joints are the mean of both, each weighed by its inverse variance, that of a plan in
+doubt the larger the larger its error. The way is bent to them where it is near the goal: further away, where the hand may have to touch
+something first, it stays as imagined. Where the goal is given as joints nothing has to be weighed: there the plan ends.
 """
+
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import torch
@@ -18,21 +21,40 @@ from preimage.prediction_error import ExpectedJoints
 NEAR = 1 / 3
 """How far from its end a way is bent, as a share of the distance from its start to its end."""
 
-
-def certain(coding: JointCoding, joints: Float[np.ndarray, " J"]) -> ExpectedJoints:
-    """Joints that are asked for, and so not to be doubted."""
-    mean = torch.as_tensor(joints, dtype=coding.lower.dtype, device=coding.lower.device)
-    return ExpectedJoints(coding, mean, deviation=torch.zeros_like(mean), weight=torch.ones_like(mean))
+SURE = 0.05
+"""Share of the error of staying at the start from which on the variance of what is imagined grows with its error."""
 
 
-def bent_to(expected: ExpectedJoints, joints: Float[Tensor, "T J"], arrival_step: int) -> Float[Tensor, "T J"]:
-    """A way that arrives between the imagined and the expected joints, in the joints' units, and stays within their ranges.
+@dataclass(frozen=True, eq=False)
+class End:
+    """The joints in which a way should end, and how much of the way there it is to be bent, of 1."""
 
-    Distances are measured in the joints' ranges, and a joint of which memory tells nothing counts for nothing.
+    joints: Float[Tensor, " J"]
+    weight: Float[Tensor, " J"]
+
+    @classmethod
+    def certain(cls, joints: Float[np.ndarray, " J"]) -> Self:
+        """Joints that are asked for, and so not to be doubted."""
+        return cls(torch.from_numpy(joints), torch.ones(len(joints)))
+
+    @classmethod
+    def expected(cls, expected: ExpectedJoints, unexplained: float) -> Self:
+        """Joints that memory tells.
+
+        Args:
+            unexplained: the error of what is imagined, as a share of the error of staying at the start.
+        """
+        imagined = expected.imagined.square() * max(1.0, unexplained / SURE)
+        return cls(expected.mean, imagined / (imagined + expected.deviation.square()))
+
+
+def bent_to(end: End, joints: Float[Tensor, "T J"], arrival_step: int, coding: JointCoding) -> Float[Tensor, "T J"]:
+    """A way that arrives between its own end and another, in the joints' units, and stays within their ranges.
+
+    Distances are measured in the joints' ranges, and a joint of which the other end tells nothing counts for nothing.
     """
-    known = expected.weight, expected.mean, expected.coding.lower, expected.coding.upper
-    weight, mean, lower, upper = (each.to(joints) for each in known)
-    end = joints[arrival_step]
-    apart = (weight * ((joints - end) / (upper - lower)).square()).sum(-1)  # (T,)
+    weight, wanted, lower, upper = (each.to(joints) for each in (end.weight, end.joints, coding.lower, coding.upper))
+    here = joints[arrival_step]
+    apart = (weight * ((joints - here) / (upper - lower)).square()).sum(-1)  # (T,)
     nearness = torch.exp(-apart / (NEAR**2 * apart[0]).clamp(min=1e-12))
-    return (joints + nearness[:, None] * weight * (mean - end)).clamp(lower, upper)
+    return (joints + nearness[:, None] * weight * (wanted - here)).clamp(lower, upper)

@@ -51,12 +51,9 @@ def expected_joints(library: Library, objective: ToGoal, coding: JointCoding) ->
     """The joints with which sequences end that end like the goal: what a picture alone does not say, memory does."""
     recalled = recall(*wanted_among(library, objective, coding), library.ends)
     told = recalled.deviation.maximum(FINEST * (coding.upper - coding.lower))
-    imagined = IMAGINED * library.ends.std(0, unbiased=False)
-    return ExpectedJoints(coding, recalled.mean, WIDER * told, weight=imagined**2 / (imagined**2 + told**2))
+    return ExpectedJoints(coding, recalled.mean, told, imagined=IMAGINED * library.ends.std(0, unbiased=False))
 
 
-WIDER = 3.0
-"""Expectations are so many times wider than how well memory tells its own: the network does not imagine what it expects to a hair."""
 IMAGINED = 0.15
 """How far a network's imagined ending is taken to be off, as a share of how much the endings differ."""
 FINEST = 0.005

@@ -14,13 +14,13 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from preimage.arrival import bent_to, certain
+from preimage.arrival import End, bent_to
 from preimage.blurring import change
 from preimage.coding import to_frames, to_pixels
 from preimage.first_guess import Library, expected_joints, feel_alike, first_guesses
 from preimage.intention import IntentionState, unflatten
 from preimage.model import PDVMRNN, Generated, Inputs, Sensed
-from preimage.prediction_error import ExpectedJoints, Modalities, ToGoal, ToSequence
+from preimage.prediction_error import Modalities, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Known, Regression, RegressionConfig, regress_intention
 from preimage.sequences import at_rate
@@ -132,12 +132,13 @@ def plan(
         error, arrival = objective.errors(imagined)
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
     told = {"start": start, "goal": goal, "error": float(error)} | searched
-    end = objective.expected
-    if end:
-        told["recalled"] = end.mean.double().cpu().numpy()
+    end = None
+    if objective.expected:
+        told["recalled"] = objective.expected.mean.double().cpu().numpy()
+        end = End.expected(objective.expected, unexplained=float(error) / max(objective.start_to_goal, 1e-9))
     elif config.modalities != "vision":
         assert goal.joints is not None
-        end = certain(model.coding, goal.joints)
+        end = End.certain(goal.joints)
     return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, end=end, **told)
 
 
@@ -190,7 +191,7 @@ def plan_of(
     arrival_step: int,
     *,
     rests: bool = False,
-    end: ExpectedJoints | None = None,
+    end: End | None = None,
     **known: Any,
 ) -> Plan:
     """What was imagined, as the record that leaves this room.
@@ -203,7 +204,7 @@ def plan_of(
     if rests:
         joints[arrival_step:] = joints[arrival_step:].mean(0)
     if end:
-        joints = bent_to(end, joints, arrival_step)
+        joints = bent_to(end, joints, arrival_step, model.coding)
     return Plan(
         frames=to_frames(imagined.pixels[0]).cpu().numpy(),
         joints=joints.cpu().numpy(),

@@ -100,6 +100,10 @@ def resting_error(goal_error: Float[Tensor, "B T"]) -> Float[Tensor, "B T"]:
     return goal_error.flip(1).cumsum(1).flip(1) / num_later
 
 
+WIDER = 3.0
+"""Expectations are held so many times wider than they are: the network does not imagine what it expects to a hair."""
+
+
 @dataclass(frozen=True, eq=False)
 class ExpectedJoints:
     """The joints that are expected at a goal of which only the picture is known: a Gaussian each."""
@@ -108,17 +112,18 @@ class ExpectedJoints:
     mean: Float[Tensor, " J"]
     """In the joints' units."""
     deviation: Float[Tensor, " J"]
-    weight: Float[Tensor, " J"]
-    """Their weight, of 1, where a plan ends at the mean of what is imagined and what is expected (`arrival`)."""
+    """How far they may be off."""
+    imagined: Float[Tensor, " J"]
+    """How far the joints that the network imagines at a goal may be off."""
 
     def error(self, generated: Generated) -> Float[Tensor, "B T"]:
-        """Half the squared distance in deviations, summed over joints: how unlikely the joints are (nats)."""
+        """Half the squared distance in WIDER deviations, summed over joints: how unlikely the joints are (nats)."""
         return self.residuals(generated).square().sum(-1)
 
     def residuals(self, generated: Generated) -> Float[Tensor, "B T J"]:
         """Numbers whose squares sum to the error."""
         joints = self.coding.decode(generated.log_codes.to(self.mean.dtype).exp())
-        return (joints - self.mean) / self.deviation / 2**0.5
+        return (joints - self.mean) / (WIDER * self.deviation) / 2**0.5
 
 
 @dataclass(frozen=True, eq=False)
