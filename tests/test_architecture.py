@@ -26,6 +26,7 @@ ORDER = [
     "examination",
     "cells",
     "intention",
+    "sizes",
     "model",
     "sequences",
     "blending",

@@ -5,7 +5,8 @@ import torch
 
 from preimage.bench import PEER, PEER_CONFIG, Work, flops_of_step, limit_gflops, timed_training
 from preimage.cells import Conv, Linear
-from preimage.model import PDVMRNN, ModelConfig, Sensors
+from preimage.model import PDVMRNN
+from preimage.sizes import ModelConfig, Sensors
 
 SENSORS = Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0))
 

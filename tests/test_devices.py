@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from preimage.devices import CPU, place_of
-from preimage.model import PDVMRNN, ModelConfig
+from preimage.model import PDVMRNN
 from preimage.planning import imagine_library
 from preimage.processes import Crew
+from preimage.sizes import ModelConfig
 from preimage.training import train
 from test_training import CONFIG, demonstrations, weights
 

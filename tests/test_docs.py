@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 import preimage
-from preimage.model import PDVMRNN, ModelConfig, Sensors
+from preimage.model import PDVMRNN
+from preimage.sizes import ModelConfig, Sensors
 
 DOCS = Path(__file__).parents[1] / "docs"
 ROOMS = {name for _, name, _ in pkgutil.iter_modules(preimage.__path__)}

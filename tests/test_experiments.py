@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from preimage.experiments import SIZES, Cell, cells_of, goals_of, principal_plane, rank_correlation, reproduce
-from preimage.model import ModelConfig
 from preimage.records import Demonstration
 from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS
+from preimage.sizes import ModelConfig
 
 
 def test_all_cells_of_the_paper() -> None:

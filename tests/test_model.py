@@ -2,7 +2,8 @@
 
 import torch
 
-from preimage.model import PDVMRNN, Generated, Inputs, InputSequence, ModelConfig, Sensors
+from preimage.model import PDVMRNN, Generated, Inputs, InputSequence
+from preimage.sizes import ModelConfig, Sensors
 
 SENSORS = Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0))
 

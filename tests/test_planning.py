@@ -10,11 +10,12 @@ import torch
 from preimage.arrival import End
 from preimage.first_guess import expected_joints
 from preimage.intention import unflatten
-from preimage.model import PDVMRNN, Generated, InputSequence, ModelConfig
+from preimage.model import PDVMRNN, Generated, InputSequence
 from preimage.planning import PlanConfig, as_inputs, follow, imagine, imagine_library, join, plan, plan_in_turn, recognise
 from preimage.prediction_error import WIDER, ExpectedJoints, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Known, Places, leaps_from, learn_from_leap, regress_intention, slopes_among
+from preimage.sizes import ModelConfig
 from preimage.training import TrainConfig, train
 
 CONFIG = PlanConfig(precision="float32")

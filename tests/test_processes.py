@@ -12,12 +12,13 @@ import pytest
 import torch
 
 from preimage.evaluation import evaluate
-from preimage.model import PDVMRNN, ModelConfig
+from preimage.model import PDVMRNN
 from preimage.planning import PlanConfig
 from preimage.processes import Crew, ProcessLost, gather
 from preimage.records import Shown
 from preimage.robot import TASKS, Arm, record
 from preimage.sequences import sensors_of
+from preimage.sizes import ModelConfig
 from preimage.training import Progress, train
 from test_training import CONFIG, demonstrations, weights
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from preimage.model import ModelConfig
 from preimage.records import Demonstration
 from preimage.runs import load_model
+from preimage.sizes import ModelConfig
 from preimage.training import NonFinite, Progress, TrainConfig, begin_steps, train
 
 CONFIG = TrainConfig(updates=6, batch_size=2, rest_steps=2, checkpoint_every=2, precision="float32")

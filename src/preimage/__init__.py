@@ -8,7 +8,7 @@ from preimage.dataset import load, save
 from preimage.evaluation import Evaluated, evaluate, result_of, wilson_interval
 from preimage.execution import execute, execute_open_loop
 from preimage.intention import IntentionState
-from preimage.model import PDVMRNN, ModelConfig, Sensors
+from preimage.model import PDVMRNN
 from preimage.planning import PlanConfig, follow, imagine_library, join, plan, plan_in_turn, recognise
 from preimage.plans import load_plan, save_episode, save_plan
 from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
@@ -16,6 +16,7 @@ from preimage.regression import regress_intention
 from preimage.report import figure, film
 from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
 from preimage.runs import from_pretrained, load_model, push_to_hub, read_shown
+from preimage.sizes import ModelConfig, Sensors
 from preimage.training import NonFinite, TrainConfig, train
 
 __all__ = [

@@ -18,12 +18,13 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from preimage.devices import CPU, chip_of
 from preimage.memory import keep_freed_memory
-from preimage.model import PDVMRNN, ModelConfig, Sensors
+from preimage.model import PDVMRNN
 from preimage.planning import PlanConfig, imagine_library, plan
 from preimage.records import Percept
 from preimage.robot import TASKS, Arm, record
 from preimage.runs import load_model
 from preimage.sequences import Sequences
+from preimage.sizes import ModelConfig, Sensors
 from preimage.training import Learner, TrainConfig, error_of, optimiser_of
 
 ARM = Sensors(64, 64, 1, ("yaw", "shoulder", "elbow", "wrist"), (-1.0,) * 4, (1.0,) * 4)
@@ -181,7 +182,7 @@ def timed_plans(name: str, place: torch.device, tell: Callable[[str], None], goa
 
 
 def timed_iterations(config: ModelConfig, sensors: Sensors, place: torch.device, *, steps: int, iterations: int = 4) -> dict[str, Any]:
-    """Error regression by the gradient through time, the paper's way, of one intention over so many steps; the plan around it is left out."""
+    """Error regression by the gradient through time, the paper's way, of one intention over so many steps, without the plan around it."""
     search = PlanConfig(method="descend", candidates=1, guesses=1, iterations=iterations, horizon=steps)
     around = seconds_of_plan(config, sensors, place, replace(search, iterations=0))
     seconds = seconds_of_plan(config, sensors, place, search) - around

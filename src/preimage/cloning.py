@@ -14,10 +14,11 @@ from torch import Tensor, nn
 
 from preimage.coding import JointCoding, to_pixels
 from preimage.devices import CPU
-from preimage.model import Inputs, Sensors
+from preimage.model import Inputs
 from preimage.prediction_error import proprioceptive_error
 from preimage.records import Demonstration, Percept
 from preimage.sequences import pad, sensors_of
+from preimage.sizes import Sensors
 
 NOISE_SHARE = 0.02
 """Noise on the sensed joints while training, as a share of their range, so that the policy learns to come back to the demonstrated way."""

@@ -20,13 +20,14 @@ from preimage.cloning import clone
 from preimage.dataset import fingerprint, load, save
 from preimage.devices import CPU
 from preimage.evaluation import Loop, evaluate, result_of
-from preimage.model import PDVMRNN, ModelConfig
+from preimage.model import PDVMRNN
 from preimage.planning import PlanConfig, recognise
 from preimage.processes import Crew
 from preimage.provenance import provenance
 from preimage.records import Demonstration
 from preimage.robot import TASKS, Arm, record
 from preimage.runs import load_model, made_from, read_config, read_settings, read_shown, write_card
+from preimage.sizes import ModelConfig
 from preimage.training import Progress, TrainConfig, train
 from preimage.whole_file import write_json
 from preimage.wording import number_of

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from preimage.model import Sensors
 from preimage.records import Plan, Shown
 from preimage.sequences import LIMIT_MARGIN
+from preimage.sizes import Sensors
 from preimage.wording import number_of
 
 UNIT = "units"

@@ -3,8 +3,8 @@
 import math
 from dataclasses import asdict
 
-from preimage.model import ModelConfig
 from preimage.planning import PlanConfig
+from preimage.sizes import ModelConfig
 from preimage.training import TrainConfig
 
 LEAST = {

@@ -26,8 +26,9 @@ from safetensors.torch import load_file
 from safetensors.torch import save as to_bytes
 
 from preimage import hub
-from preimage.model import PDVMRNN, ModelConfig, Sensors
+from preimage.model import PDVMRNN
 from preimage.records import Body, Demonstration, Shown
+from preimage.sizes import ModelConfig, Sensors
 from preimage.view import COLOURS, View
 from preimage.whole_file import whole_file, write_json
 from preimage.wording import number_of

@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from preimage.model import Sensors
 from preimage.records import Demonstration
+from preimage.sizes import Sensors
 
 LIMIT_MARGIN = 0.1
 """The range of each joint's code is the range seen in the demonstrations, widened on either side by this share of it."""

@@ -13,10 +13,10 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from preimage.dataset import describe, load
-from preimage.model import Sensors
 from preimage.pictures import MODES, UNDECODABLE
 from preimage.records import Percept, Scene
 from preimage.runs import seen_by
+from preimage.sizes import Sensors
 from preimage.view import View, look
 
 

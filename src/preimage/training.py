@@ -28,12 +28,13 @@ from preimage.devices import recorded_with_gradients
 from preimage.intention import IntentionState, IntentionTable
 from preimage.interrupts import saved_on_interrupt
 from preimage.memory import keep_freed_memory
-from preimage.model import PDVMRNN, ModelConfig
+from preimage.model import PDVMRNN
 from preimage.prediction_error import SequenceError
 from preimage.processes import Crew
 from preimage.records import Demonstration
 from preimage.runs import write_config, write_shown, write_weights
 from preimage.sequences import Sequences, pad, sensors_of
+from preimage.sizes import ModelConfig
 from preimage.whole_file import whole_file, write_json
 
 

@@ -13,13 +13,13 @@ from preimage.devices import Device
 from preimage.examination import examine
 from preimage.experiments import SIZES
 from preimage.held_out import every_nth
-from preimage.model import ModelConfig
 from preimage.options import refuse_out_of_range
 from preimage.processes import gather
 from preimage.provenance import provenance
 from preimage.report import examined_page, learning_curve
 from preimage.robot import TASKS, Arm, record
 from preimage.runs import find_run, read_config, read_settings, read_view, write_card
+from preimage.sizes import ModelConfig
 from preimage.training import Progress as Told
 from preimage.training import TrainConfig, train
 from preimage.view import View
