@@ -205,10 +205,12 @@ def leap(
 
 
 def slopes_among(here: Places, known: Known, objective: Objective) -> Float[Tensor, "B K R"]:
-    """How the residuals change with each coordinate, as what is imagined elsewhere tells: a linear regression, nearer places before
-    farther ones, and damped, for there may be fewer of them than coordinates."""
+    """How the residuals change with each coordinate, as what is imagined elsewhere tells.
 
-    def at(place: Tensor) -> Tensor:
+    A linear regression in which nearer places count more; damped, for there may be hardly more of them than coordinates.
+    """
+
+    def at(place: int) -> Tensor:
         ways = known.points - here.points[place]
         distances = ways.square().sum(1)
         near = distances.argsort()[:NEIGHBOURS]
@@ -220,7 +222,7 @@ def slopes_among(here: Places, known: Known, objective: Objective) -> Float[Tens
         damping = 1e-3 * curvature.diagonal().mean() + 1e-9
         return torch.linalg.solve(curvature + damping * torch.eye(len(weighed)).to(weighed), weighed @ changes)
 
-    return torch.stack([at(place) for place in torch.arange(len(here.points))])
+    return torch.stack([at(place) for place in range(len(here.points))])
 
 
 def slopes_at(

@@ -97,7 +97,7 @@ def train_(
         intention_dimensions: numbers that make an intention, instead of the size's own.
         intention_cost: charge for what an intention tells, instead of the size's own: more where most can be seen at the start.
         intention_layers: layers whose initial states are the intention, instead of the size's own: top where most can be seen.
-        seen_channels: feature maps that carry vision to the motors, instead of the size's own: more where things are to be grasped.
+        seen_channels: feature maps that carry vision to the motors, instead of the size's own.
         view: how the recordings are looked at.
         config: how the network learns.
     """
