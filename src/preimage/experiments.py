@@ -42,7 +42,7 @@ NETWORKS: dict[str, dict[str, Any]] = {
     "move-object": LITTLE_ROOM | {"intention_cost": 0.2, "seen_channels": 8},
     "two-circles": LITTLE_ROOM | {"intention_cost": 0.2, "seen_channels": 8},
 }
-"""The networks of the tasks with such scenes, where not as the size says. Where an object is moved, more of what is seen reaches the motors."""
+"""The networks of the tasks with such scenes, where not as the size says. What sees an object to move tells more to the motors."""
 FEWER_UNITS = {"motor_units": (384, 256, 16)}
 """Of a small network that sees more, so that it stays as small."""
 LEARNING: dict[str, dict[str, Any]] = {
