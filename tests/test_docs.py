@@ -12,7 +12,8 @@ import preimage
 from preimage.model import PDVMRNN
 from preimage.sizes import ModelConfig, Sensors
 
-DOCS = Path(__file__).parents[1] / "docs"
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
 ROOMS = {name for _, name, _ in pkgutil.iter_modules(preimage.__path__)}
 NAMED = sorted(
     {
@@ -42,3 +43,8 @@ def test_table_one_as_the_document_tells_it():
     motor = ", ".join(str(*shapes[f"motor{level}"]) for level in (1, 2, 3))
     top = "{1}x{2}x{0}".format(*shapes["top"])
     assert f"vision {vision}; motor {motor}; shared top {top}" in (DOCS / "paper.md").read_text()
+
+
+@pytest.mark.parametrize("path", ["docs/results.md", *(str(path.relative_to(ROOT)) for path in sorted((ROOT / "results").rglob("*.json")))])
+def test_results_name_no_path_of_one_machine(path):
+    assert not re.findall(r'[\s"`]/\w+/\S*', (ROOT / path).read_text())
