@@ -14,7 +14,7 @@ from preimage.model import PDVMRNN, Generated, InputSequence
 from preimage.planning import PlanConfig, as_inputs, follow, imagine, imagine_library, join, plan, plan_in_turn, recognise
 from preimage.prediction_error import WIDER, ExpectedJoints, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
-from preimage.regression import Known, Places, leaps_from, learn_from_leap, regress_intention, slopes_among
+from preimage.regression import Places, leaps_from, learn_from_leap, regress_intention, slopes_among
 from preimage.sizes import ModelConfig
 from preimage.training import TrainConfig, train
 
@@ -309,7 +309,7 @@ def test_slopes_are_told_by_what_is_known_around(model: PDVMRNN) -> None:
     errors, aims = objective.errors(generated)
     residuals = objective.residuals(generated, aims[:1].expand(21))
     here = Places(points[:1], errors[:1], aims[:1], residuals[:1])
-    told = slopes_among(here, Known(points, generated), objective)[0]
+    told = slopes_among(here, points, generated, objective)[0]
     for way in torch.eye(2):
         near = imagine(model, space.intention(points[:1] + 0.01 * way), start, num_steps=6, precision="float32")
         measured = (objective.residuals(near, aims[:1]) - residuals[:1])[0] / 0.01

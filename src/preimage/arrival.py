@@ -35,7 +35,7 @@ class End:
     @classmethod
     def certain(cls, joints: Float[np.ndarray, " J"]) -> Self:
         """Joints that are asked for, and so not to be doubted."""
-        return cls(torch.from_numpy(joints), torch.ones(len(joints)))
+        return cls(torch.as_tensor(joints), torch.ones(len(joints)))
 
     @classmethod
     def expected(cls, expected: ExpectedJoints, unexplained: float) -> Self:

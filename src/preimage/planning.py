@@ -22,7 +22,7 @@ from preimage.intention import IntentionState, unflatten
 from preimage.model import PDVMRNN, Generated, Inputs, Sensed
 from preimage.prediction_error import Modalities, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
-from preimage.regression import Known, Regression, RegressionConfig, regress_intention
+from preimage.regression import Regression, RegressionConfig, regress_intention
 from preimage.sequences import at_rate
 from preimage.wording import number_of
 
@@ -113,33 +113,32 @@ def plan(
         library = imagine_library(model, start, config=config)
     if config.recalls and config.modalities == "vision":
         objective = replace(objective, expected=expected_joints(library, objective, model.coding))
-    beyond_doubt = config.doubt * objective.start_to_goal
+    to_explain = objective.start_to_goal
 
     def from_start(intention: IntentionState, num_steps: int | None = None) -> Generated:
         return imagine(model, intention, objective.start, num_steps=num_steps or horizon_of(model, config), precision=config.precision)
 
     space = model.intention_table.space(config.dimensions)
     guesses = first_guesses(library, objective, model.coding, space.training, count=max(config.guesses, config.candidates))
-    known = Known(space.training, library.imagined)
     tried: list[Regression] = []
     for some in filter(len, (guesses[: config.candidates], guesses[config.candidates :])):
-        tried.append(regress_intention(space, some, from_start, objective, config=config, known=known))
-        if tried[-1].error.min() < beyond_doubt:
+        tried.append(regress_intention(space, some, from_start, objective, config=config, library=library.imagined))
+        if tried[-1].error.min() < config.doubt * to_explain:
             break
     found = min(tried, key=lambda one: float(one.error.min()))
     with torch.no_grad():
         imagined = from_start(found.best)
         error, arrival = objective.errors(imagined)
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
-    told = {"start": start, "goal": goal, "error": float(error)} | searched
+    known = {"start": start, "goal": goal, "error": float(error)} | searched
     end = None
     if objective.expected:
-        told["recalled"] = objective.expected.mean.double().cpu().numpy()
-        end = End.expected(objective.expected, unexplained=float(error) / max(objective.start_to_goal, 1e-9))
+        known["recalled"] = objective.expected.mean.double().cpu().numpy()
+        end = End.expected(objective.expected, unexplained=float(error) / max(to_explain, 1e-9))
     elif config.modalities != "vision":
         assert goal.joints is not None
         end = End.certain(goal.joints)
-    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, end=end, **told)
+    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, end=end, **known)
 
 
 def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequence[Percept], config: PlanConfig | None = None) -> list[Plan]:

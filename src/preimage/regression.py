@@ -84,14 +84,6 @@ class Regression:
         return self.intention[self.error.argmin()[None]]
 
 
-@dataclass(frozen=True, eq=False)
-class Known:
-    """Places in the intention space of which it is known what is imagined from them, as the search would."""
-
-    points: Float[Tensor, "N K"]
-    generated: Generated
-
-
 def regress_intention(
     space: IntentionSpace,
     coordinates: Float[Tensor, "B K"],
@@ -99,17 +91,18 @@ def regress_intention(
     objective: Objective,
     *,
     config: RegressionConfig,
-    known: Known | None = None,
+    library: Generated | None = None,
 ) -> Regression:
     """Lower the error from each of B places in the intention space. The weights are not touched.
 
-    Where leaping, what is known of other places tells the first slopes; they are measured where it is less than coordinates.
+    A library, what is imagined from each of the space's training intentions, tells the first slopes, where there are more of them than
+    coordinates; else these are measured. Only a leap needs them.
 
     The error that is returned is that of the intention that is returned, the best seen: the last value of a loop belongs to the step
     before.
     """
     if config.method == "leap":
-        return leap(space, coordinates, imagine, objective, config, known)
+        return leap(space, coordinates, imagine, objective, config, library)
     return descend(space, coordinates, imagine, objective, config)
 
 
@@ -160,7 +153,7 @@ BEHIND = 1.3
 LEADING = 8
 """Directions in which slopes are measured anew."""
 NEIGHBOURS = 100
-"""How many known places tell the slopes at another: they have to be kept all at once."""
+"""How many points of a library tell the slopes: what is imagined from them has to be held at once."""
 ENOUGH = 0.2
 """A leap that lowers the error by less than this share of it is not worth another from the same slopes."""
 
@@ -172,7 +165,7 @@ def leap(
     imagine: Imagine,
     objective: Objective,
     config: RegressionConfig,
-    known: Known | None,
+    library: Generated | None,
 ) -> Regression:
     """Gauss-Newton on the residuals."""
 
@@ -183,8 +176,8 @@ def leap(
 
     here = visit(coordinates)
     slopes, stale = None, True
-    if known and len(known.points) > coordinates.shape[1]:
-        slopes = slopes_among(here, known, objective)
+    if library and len(space.training) > coordinates.shape[1]:
+        slopes = slopes_among(here, space.training, library, objective)
     lowest = [here.error.min()]
     stopped = Stopped.ITERATIONS
     for _ in range(config.most_iterations):
@@ -204,18 +197,18 @@ def leap(
     return Regression(space.intention(here.points), here.error, torch.stack(lowest), stopped)
 
 
-def slopes_among(here: Places, known: Known, objective: Objective) -> Float[Tensor, "B K R"]:
-    """How the residuals change with each coordinate, as what is imagined elsewhere tells.
+def slopes_among(here: Places, points: Float[Tensor, "N K"], library: Generated, objective: Objective) -> Float[Tensor, "B K R"]:
+    """How the residuals change with each coordinate, as what is imagined from other points tells.
 
     A linear regression in which nearer places count more; damped, for there may be hardly more of them than coordinates.
     """
 
     def at(place: int) -> Tensor:
-        ways = known.points - here.points[place]
+        ways = points - here.points[place]
         distances = ways.square().sum(1)
         near = distances.argsort()[:NEIGHBOURS]
         ways, nearness = ways[near], 1 / (1 + distances[near] / distances[near].median().clamp(min=1e-9))
-        generated = Generated(known.generated.pixels[near], known.generated.log_codes[near])
+        generated = Generated(library.pixels[near], library.log_codes[near])
         changes = objective.residuals(generated, here.aims[place].expand(len(near))) - here.residuals[place]
         weighed = ways.T * nearness
         curvature = weighed @ ways
@@ -226,24 +219,24 @@ def slopes_among(here: Places, known: Known, objective: Objective) -> Float[Tens
 
 
 def slopes_at(
-    here: Places, told: Float[Tensor, "B K R"] | None, space: IntentionSpace, imagine: Imagine, objective: Objective, probe: float
+    here: Places, known: Float[Tensor, "B K R"] | None, space: IntentionSpace, imagine: Imagine, objective: Objective, probe: float
 ) -> Float[Tensor, "B K R"]:
     """How the residuals change with each coordinate, the aims held. Nothing later than the last aim need be imagined.
 
-    Slopes that are told by places nearby are measured anew in their leading directions alone, those in which the residuals change
+    Slopes that are known from places nearby are measured anew in their leading directions alone, those in which the residuals change
     most; the others hardly matter to a leap.
     """
     count, dimensions = here.points.shape
-    if told is None:
-        told = here.residuals.new_zeros(count, dimensions, here.residuals.shape[1])
+    if known is None:
+        known = here.residuals.new_zeros(count, dimensions, here.residuals.shape[1])
         directions = torch.eye(dimensions).to(here.points).expand(count, -1, -1)
     else:
-        directions = torch.linalg.eigh(told @ told.mT).eigenvectors.mT[:, -LEADING:]  # (B, D, K)
+        directions = torch.linalg.eigh(known @ known.mT).eigenvectors.mT[:, -LEADING:]  # (B, D, K)
     probes = here.points[:, None] + probe * directions
     changed = imagine(space.intention(probes.flatten(0, 1)), objective.steps_until(here.aims))
     residuals = objective.residuals(changed, here.aims.repeat_interleave(probes.shape[1]))
     measured = (residuals.view(*probes.shape[:2], -1) - here.residuals[:, None]) / probe
-    return told + directions.mT @ (measured - directions @ told)
+    return known + directions.mT @ (measured - directions @ known)
 
 
 def learn_from_leap(slopes: Float[Tensor, "B K R"], here: Places, there: Places) -> Float[Tensor, "B K R"]:

@@ -23,7 +23,7 @@ class ModelConfig:
     lateral_channels: int = 4
     """Feature maps that carry the motor path to the vision path; the paper does not say how many."""
     seen_channels: int = 4
-    """Feature maps that carry vision to the motors: the more, the more exactly they are told where a thing lies."""
+    """Feature maps that carry the vision path to the motor path; the paper does not say how many."""
     intention_layers: tuple[str, ...] = ("top", "vision3", "motor3")
     """Layers whose initial states are the intention; the others start from a learned state that all sequences share."""
     intention_dimensions: int | None = 16
