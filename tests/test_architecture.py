@@ -30,6 +30,7 @@ ORDER = [
     "model",
     "sequences",
     "blending",
+    "shifting",
     "limits",
     "prediction_error",
     "batch_error",

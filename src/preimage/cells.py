@@ -144,12 +144,10 @@ class Gate(torch.autograd.Function):
         # One block of memory per gate: with the gates side by side in every pixel each operation would stumble from pixel to pixel.
         opened = torch.empty(4, *by_pixel.shape[:-1], units, dtype=cell.dtype, device=cell.device)
         opened.copy_(by_pixel.unflatten(-1, (4, units)).movedim(-2, 0))
-        opened[3].mul_(2)
-        opened.sigmoid_()
-        opened[3].mul_(2).sub_(1)  # tanh x = 2 sigmoid 2x - 1, and a sigmoid is the faster of the two by far
+        open_gates(opened)
         admit, keep, show, candidate = opened.movedim(-1, 2)
         new_cell = torch.addcmul(keep * cell, admit, candidate)
-        squashed = (2 * new_cell).sigmoid_().mul_(2).sub_(1)
+        squashed = new_cell.tanh() if new_cell.is_cuda else (2 * new_cell).sigmoid_().mul_(2).sub_(1)
         ctx.save_for_backward(opened, cell, squashed)
         ctx.dtype = gates.dtype
         return (show * squashed).to(gates.dtype), new_cell
@@ -173,6 +171,17 @@ class Gate(torch.autograd.Function):
         of_gates = torch.empty(*back.shape[1:-1], 4 * back.shape[-1], dtype=ctx.dtype, device=back.device)
         of_gates.unflatten(-1, (4, -1)).movedim(-2, 0).copy_(back)
         return of_gates.movedim(-1, 1), of_cell * keep
+
+
+def open_gates(gates: Tensor) -> None:
+    """In place, a sigmoid of input, forget and output gate and a tanh of the candidate."""
+    if gates.is_cuda:  # every call is a kernel
+        gates[:3].sigmoid_()
+        gates[3].tanh_()
+        return
+    gates[3].mul_(2)
+    gates.sigmoid_()
+    gates[3].mul_(2).sub_(1)  # tanh x = 2 sigmoid 2x - 1, and a sigmoid is the faster of the two by far
 
 
 def remember_at_first(bias: Tensor) -> None:
