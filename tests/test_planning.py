@@ -8,17 +8,30 @@ import pytest
 import torch
 
 from preimage.arrival import End
+from preimage.coding import to_frames
 from preimage.first_guess import expected_joints
 from preimage.intention import unflatten
 from preimage.model import PDVMRNN, Generated, InputSequence
-from preimage.planning import PlanConfig, as_inputs, follow, imagine, imagine_library, join, plan, plan_in_turn, recognise
+from preimage.planning import (
+    PlanConfig,
+    as_inputs,
+    follow,
+    imagine,
+    imagine_library,
+    imagine_without_goal,
+    join,
+    plan,
+    plan_in_turn,
+    recognise,
+)
 from preimage.prediction_error import WIDER, ExpectedJoints, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Places, leaps_from, learn_from_leap, regress_intention, slopes_among
+from preimage.shifting import glances
 from preimage.sizes import ModelConfig
 from preimage.training import TrainConfig, train
 
-CONFIG = PlanConfig(precision="float32")
+CONFIG = PlanConfig(precision="float32", glance=0.0)
 DESCEND = replace(CONFIG, method="descend")
 
 
@@ -277,15 +290,30 @@ def test_what_there_is_to_explain_is_the_error_of_staying(model: PDVMRNN) -> Non
     assert replace(wanted, goal=wanted.start, modalities="both").start_to_goal == pytest.approx(0, abs=1e-6)
 
 
-def test_one_step_prediction_is_the_open_loop(model: PDVMRNN) -> None:
+@pytest.mark.parametrize("glance", [0.0, 0.05])
+def test_one_step_prediction_is_the_open_loop_of_what_is_seen_at_a_glance(model: PDVMRNN, glance: float) -> None:
     shown = bar(0.6)
     found = plan(model, start=shown.first, goal=shown.last, config=CONFIG)
-    policy = follow(model, found)
+    policy = follow(model, found, glance=glance)
     stepwise = np.stack([policy(shown[step]) for step in range(len(shown) - 1)])
-    intention = unflatten(torch.from_numpy(found.intention).float()[None], model.intention_table.shapes)
-    opened = model.generate_open_loop(intention, sensed_of(model, shown))
-    at_once = model.coding.decode(opened.log_codes[0].exp()).numpy()
+    pixels, codes = sensed_of(model, shown)
+    looks = torch.stack([glances(frame, glance) for frame in pixels[0]], 1)  # (looks, T, C, H, W)
+    intention = unflatten(torch.from_numpy(found.intention).float().expand(len(looks), -1), model.intention_table.shapes)
+    opened = model.generate_open_loop(intention, (looks, codes.expand(len(looks), *codes.shape[1:])))
+    at_once = model.coding.decode(opened.log_codes.exp()).mean(0).numpy()
     np.testing.assert_allclose(stepwise, at_once[1:], atol=1e-5)
+
+
+def test_a_way_is_the_mean_of_what_is_imagined_from_all_looks(model: PDVMRNN) -> None:
+    start = bar(0.3).first
+    alone = [imagine_without_goal(model, start, config=CONFIG)]
+    pixels, _ = as_inputs(model, start, name="start")
+    for look in glances(pixels, 0.05)[1:]:
+        alone.append(imagine_without_goal(model, Percept(to_frames(look).numpy(), start.joints), config=CONFIG))
+    together = imagine_without_goal(model, start, config=replace(CONFIG, glance=0.05))
+    np.testing.assert_allclose(together.joints, np.mean([one.joints for one in alone], 0), atol=2e-3)  # frames are of whole grey levels
+    np.testing.assert_array_equal(together.frames, alone[0].frames)
+    assert np.abs(together.joints - alone[0].joints).max() > 1e-4
 
 
 def test_a_leap_solves_what_is_linear_and_learns_what_it_did() -> None:

@@ -124,7 +124,7 @@ def carry_out(model: PDVMRNN, found: Plan, arm: Arm, task: Task, demonstration: 
     assert demonstration.scene is not None
     if loop == "closed":
         return execute(found, arm, demonstration.scene, task=task)
-    policy = follow(model, found)
+    policy = follow(model, found, glance=config.glance)
     if loop == "recorded":
         recorded = at_rate(demonstration, found.rate_hz)
         joints = np.stack([recorded.joints[0], *(policy(recorded[step]) for step in range(len(recorded) - 1))])

@@ -24,6 +24,7 @@ from preimage.prediction_error import Modalities, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Regression, RegressionConfig, regress_intention
 from preimage.sequences import at_rate
+from preimage.shifting import glances
 from preimage.wording import number_of
 
 
@@ -45,6 +46,9 @@ class PlanConfig(RegressionConfig):
     """Whether the goal is to be stayed in; without, it is enough to pass through it, as in the paper."""
     recalls: bool = True
     """Whether a goal given as a picture is held to be reached with joints that go with such pictures in the model's memory."""
+    glance: float = 0.02
+    """Heights of a frame by which the start frame is moved, to eight sides, to be looked at again: the way is the mean of what is imagined
+    from all nine, for what the network makes of one picture is a little off, each time otherwise. 0: one look."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +67,14 @@ def imagine(model: PDVMRNN, intention: IntentionState, start: Sensed, *, num_ste
     """Generate in closed loop from one start percept, at the precision asked for."""
     pixels, codes = (part.expand(len(intention), *part.shape) for part in start)
     return model.generate_closed_loop(intention, (pixels, codes), num_steps=num_steps, dtype=getattr(torch, precision))
+
+
+def imagine_at_a_glance(model: PDVMRNN, intention: IntentionState, start: Sensed, config: PlanConfig) -> Generated:
+    """What one intention generates from the start as it is, first, and as it looks from a little beside."""
+    pixels = glances(start[0], config.glance)
+    inputs = pixels, start[1].expand(len(pixels), *start[1].shape)
+    same = intention[torch.zeros(len(pixels), dtype=torch.long)]
+    return model.generate_closed_loop(same, inputs, num_steps=horizon_of(model, config), dtype=getattr(torch, config.precision))
 
 
 def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: PlanConfig | None = None) -> Library:
@@ -127,8 +139,8 @@ def plan(
             break
     found = min(tried, key=lambda one: float(one.error.min()))
     with torch.no_grad():
-        imagined = from_start(found.best)
-        error, arrival = objective.errors(imagined)
+        imagined = imagine_at_a_glance(model, found.best, objective.start, config)
+        error, arrival = (each[0] for each in objective.errors(imagined))
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
     known = {"start": start, "goal": goal, "error": float(error)} | searched
     end = None
@@ -193,13 +205,13 @@ def plan_of(
     end: End | None = None,
     **known: Any,
 ) -> Plan:
-    """What was imagined, as the record that leaves this room.
+    """What was imagined, as the record that leaves this room: the frames of the first sequence, the mean joints of all.
 
     Args:
         rests: whether the robot stays where it arrives: at the mean of the joints from then on, without the sway of single steps.
         end: what else is known of the joints at the goal; the way there is bent to agree with it.
     """
-    joints = model.coding.decode(imagined.log_codes[0].exp()).double()
+    joints = model.coding.decode(imagined.log_codes.exp()).double().mean(0)
     if rests:
         joints[arrival_step:] = joints[arrival_step:].mean(0)
     if end:
@@ -223,34 +235,35 @@ def imagine_without_goal(model: PDVMRNN, start: Percept, *, config: PlanConfig |
     num_steps = horizon_of(model, config)
     with torch.no_grad():
         inputs = as_inputs(model, start, name="start")
-        imagined = imagine(model, intention, inputs, num_steps=num_steps, precision=config.precision)
-    error = ToGoal(inputs, inputs).start_error(imagined)
+        imagined = imagine_at_a_glance(model, intention, inputs, config)
+    error = ToGoal(inputs, inputs).start_error(imagined)[0]
     searched = {"errors": np.zeros(0), "stopped": Stopped.ITERATIONS, "seconds": time.perf_counter() - began}
     return plan_of(model, imagined, intention, num_steps - 1, start=start, goal=Percept(), error=float(error), **searched)
 
 
-def follow(model: PDVMRNN, plan: Plan) -> Callable[[Percept], Float[np.ndarray, " J"]]:
+def follow(model: PDVMRNN, plan: Plan, *, glance: float = PlanConfig.glance) -> Callable[[Percept], Float[np.ndarray, " J"]]:
     """A policy that predicts one step ahead from what is sensed, step by step, under the intention of a plan (open loop).
 
     The paper calls it one-step prediction (section III-C): closed loop finds the intention, then the robot's own camera and joints go in
-    and the next joints come out.
+    and the next joints come out. Each frame is looked at as the start is (`PlanConfig.glance`).
     """
     forward = model.at(model.pixel_bias.dtype)
     table = model.intention_table
     intention = unflatten(torch.from_numpy(plan.intention).to(model.home_joints)[None], table.shapes)
-    states = [model.initial_states(intention)]
+    num_looks = len(glances(model.home_pixels, glance))
+    states = [model.initial_states(intention[torch.zeros(num_looks, dtype=torch.long)])]
 
     def predict(percept: Percept) -> Inputs:
         pixels, codes = as_inputs(model, percept, name="percept")
         with torch.no_grad():
-            predicted, states[0] = forward((pixels[None], codes[None]), states[0])
+            predicted, states[0] = forward((glances(pixels, glance), codes.expand(num_looks, *codes.shape)), states[0])
         return predicted
 
     predict(plan.start)  # output t is the prediction of percept t, so the first predicts the start itself
 
     def next_joints(percept: Percept) -> Float[np.ndarray, " J"]:
         _, log_codes = predict(percept)
-        return model.coding.decode(log_codes[0].exp()).double().cpu().numpy()
+        return model.coding.decode(log_codes.exp()).double().mean(0).cpu().numpy()
 
     return next_joints
 

@@ -9,6 +9,8 @@ teach it to look where things lie beside one another.
 [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.5, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0]]
 """
 
+import itertools
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -30,3 +32,11 @@ def shifted(pictures: Float[Tensor, "B C H W"], by: Float[Tensor, "B 2"]) -> Flo
 def draw_shifts(count: int, largest: float, generator: torch.Generator) -> Float[Tensor, "B 2"]:
     """So many shifts, each direction evenly between minus and plus the largest (pixels)."""
     return largest * (2 * torch.rand(count, 2, generator=generator) - 1)
+
+
+def glances(picture: Float[Tensor, "C H W"], by: float) -> Float[Tensor, "looks C H W"]:
+    """A picture as it is, first, and, unless `by` is 0, moved to its eight sides by so many heights of it."""
+    if by == 0:
+        return picture[None]
+    sides = sorted(itertools.product((-1.0, 0.0, 1.0), repeat=2), key=any)  # to no side first
+    return shifted(picture.expand(len(sides), *picture.shape), by * picture.shape[1] * picture.new_tensor(sides))
