@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from preimage.cells import LSTM, Conv, ConvLSTM, Linear, depth_to_space, space_to_depth
+from preimage.cells import LSTM, Conv, ConvLSTM, Lateral, Linear, depth_to_space, expected_places, space_to_depth
 
 
 def cell_of_torch(linear: Linear) -> nn.LSTMCell:
@@ -83,3 +83,21 @@ def test_depth_to_space_undoes_space_to_depth_and_patches_stay_together() -> Non
     assert folded.shape == (2, 12, 2, 3)
     assert set(folded[0, :, 0, 0].tolist()) == set(maps[0, :, :2, :2].flatten().tolist())
     torch.testing.assert_close(depth_to_space(folded), maps)
+
+
+@pytest.mark.parametrize(("right", "down"), [(0, 0), (3, 0), (0, 2), (4, 3)])
+def test_a_keypoint_moves_with_what_it_points_at(right: int, down: int) -> None:
+    heat = torch.zeros(2, 9, 11, 1, dtype=torch.float64)
+    heat[0, 1:4, 2:5] = heat[1, 1 + down : 4 + down, 2 + right : 5 + right] = 50.0
+    before, after = expected_places(heat)
+    torch.testing.assert_close(after - before, torch.tensor([2 / 10 * right, 2 / 8 * down], dtype=torch.float64))
+
+
+def test_what_the_motors_see_ends_with_the_places_of_the_keypoints() -> None:
+    tie = Lateral(channels=6, units=5, size=(8, 8), grid=(4, 4), lateral=2, seen=3, keypoints=2).double()
+    maps = torch.randn(2, 6, 8, 8, dtype=torch.float64)
+    seen = tie.to_motor(torch.float64)(maps)
+    assert seen.shape == (2, 3 * 16 + 2 * 2)
+    assert tie.to_keypoints is not None
+    heat = 10 * tie.to_keypoints(maps.permute(0, 2, 3, 1))
+    torch.testing.assert_close(seen[:, -4:], expected_places(heat))

@@ -9,7 +9,6 @@ from preimage.coding import to_pixels
 from preimage.intention import unflatten
 from preimage.model import PDVMRNN
 from preimage.prediction_error import sequence_error
-from preimage.shifting import shifted
 
 
 class BatchError(nn.Module):
@@ -19,13 +18,11 @@ class BatchError(nn.Module):
         share: how much of the input is sensed (`PDVMRNN.generate_open_loop`).
         dtype: precision of the layers' arithmetic.
         blends: whether there are blends in a batch, whose pictures are compared coarsely.
-        shifts: whether first frames are shifted before they enter.
     """
 
-    def __init__(self, model: PDVMRNN, *, share: float, dtype: torch.dtype, blends: bool, shifts: bool) -> None:
+    def __init__(self, model: PDVMRNN, *, share: float, dtype: torch.dtype, blends: bool) -> None:
         super().__init__()
-        self.model, self.share, self.dtype = model, share, dtype
-        self.blends, self.shifts = blends, shifts
+        self.model, self.share, self.dtype, self.blends = model, share, dtype, blends
 
     def forward(
         self,
@@ -34,7 +31,6 @@ class BatchError(nn.Module):
         joints: Float[Tensor, "B T J"],
         mask: Float[Tensor, "B T"],
         blended: Bool[Tensor, " B"],
-        shift: Float[Tensor, "B 2"],
     ) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
         """The visual and the proprioceptive error of each sequence.
 
@@ -43,13 +39,11 @@ class BatchError(nn.Module):
             joints: angles (rad).
             mask: 1 where a step counts.
             blended: which sequences are blends.
-            shift: how far the first frame is moved before it enters (pixels); what is to be imagined stays where it is.
         """
         model = self.model
         pixels, codes = to_pixels(frames), model.coding.encode(joints.clamp(model.coding.lower, model.coding.upper))
         intentions = unflatten(intention, model.intention_table.shapes)
-        start = (shifted(pixels[:, 0], shift), codes[:, 0]) if self.shifts else None
-        generated = model.generate_open_loop(intentions, (pixels, codes), start=start, share=self.share, dtype=self.dtype)
+        generated = model.generate_open_loop(intentions, (pixels, codes), share=self.share, dtype=self.dtype)
         error = sequence_error(generated, pixels, codes, mask)
         if not self.blends:
             return error.visual, error.proprioceptive

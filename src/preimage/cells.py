@@ -240,14 +240,35 @@ def depth_to_space(maps: Tensor) -> Tensor:
     return patches.reshape(batch, 2 * height, 2 * width, channels // 4).permute(0, 3, 1, 2)  # (B, C, H, W)
 
 
-class Lateral(nn.Module):
-    """The tie between the two paths at one level, through a few feature maps on a coarse grid."""
+SHARPNESS = 10.0
+"""Factor on what a keypoint's map says, so that a network that begins to learn can point at a few pixels."""
 
-    def __init__(self, *, channels: int, units: int, size: tuple[int, int], grid: tuple[int, int], lateral: int, seen: int) -> None:
+
+def expected_places(heat: Tensor) -> Tensor:
+    """The mean place under the softmax of each map, (B, height, width, K) to (B, 2 K): -1 at the left and upper edge, 1 at the others.
+
+    >>> heat = torch.zeros(1, 3, 5, 1)
+    >>> heat[0, 2, 1] = 100.0
+    >>> expected_places(heat).tolist()
+    [[-0.5, 1.0]]
+    """
+    weights = heat.flatten(1, 2).softmax(1).view_as(heat)
+    of_columns, of_rows = weights.sum(1), weights.sum(2)  # (B, width, K), (B, height, K)
+    places = [torch.linspace(-1, 1, each.shape[1], dtype=heat.dtype, device=heat.device) @ each for each in (of_columns, of_rows)]
+    return torch.cat(places, dim=1)
+
+
+class Lateral(nn.Module):
+    """The tie between the two paths at one level: a few feature maps on a coarse grid, and the places of keypoints."""
+
+    def __init__(
+        self, *, channels: int, units: int, size: tuple[int, int], grid: tuple[int, int], lateral: int, seen: int, keypoints: int
+    ) -> None:
         super().__init__()
         self.grid, self.scale, self.lateral = grid, size[0] // grid[0], lateral
         self.from_motor = Linear(units, lateral * grid[0] * grid[1])
         self.from_vision = Linear(channels, seen)
+        self.to_keypoints = Linear(channels, keypoints) if keypoints else None
 
     def to_vision(self, dtype: torch.dtype) -> Step:
         """(B, units) to (B, lateral, height, width)."""
@@ -260,12 +281,17 @@ class Lateral(nn.Module):
         return step
 
     def to_motor(self, dtype: torch.dtype) -> Step:
-        """(B, channels, height, width) to (B, seen * grid)."""
+        """(B, channels, height, width) to (B, seen * grid + 2 * keypoints)."""
         project = self.from_vision.at(dtype)
+        point = self.to_keypoints.at(dtype) if self.to_keypoints else None
 
         def step(hidden: Tensor) -> Tensor:
             coarse = hidden if self.scale == 1 else nn.functional.avg_pool2d(hidden, self.scale)
-            return project(coarse.permute(0, 2, 3, 1)).flatten(1)  # (B, features)
+            features = project(coarse.permute(0, 2, 3, 1)).flatten(1)
+            if point is None:
+                return features
+            heat = SHARPNESS * point(hidden.permute(0, 2, 3, 1)).to(self.from_vision.weight.dtype)
+            return torch.cat([features, expected_places(heat).to(dtype)], dim=1)
 
         return step
 

@@ -40,7 +40,7 @@ LITTLE_ROOM: dict[str, Any] = {"intention_layers": ("top",), "intention_dimensio
 NETWORKS: dict[str, dict[str, Any]] = {
     "two-points": LITTLE_ROOM | {"intention_cost": 0.03},
     "move-object": LITTLE_ROOM | {"intention_cost": 0.2, "seen_channels": 8},
-    "two-circles": LITTLE_ROOM | {"intention_cost": 0.2, "seen_channels": 8},
+    "two-circles": LITTLE_ROOM | {"intention_cost": 0.05, "keypoints": 8},
 }
 """The networks of the tasks with such scenes, where not as the size says. What sees an object to move tells more to the motors."""
 FEWER_UNITS = {"motor_units": (384, 256, 16)}
@@ -48,7 +48,7 @@ FEWER_UNITS = {"motor_units": (384, 256, 16)}
 LEARNING: dict[str, dict[str, Any]] = {
     "two-points": {"updates": 1500, "later_starts": 0.5},
     "move-object": {"updates": 1300},
-    "two-circles": {"updates": 1300, "later_starts": 0.5},
+    "two-circles": {"updates": 1300},
 }
 """How a task is learned, where not as `TrainConfig` says."""
 FEW: dict[int, dict[str, Any]] = {50: {"blends": 0.5}, 25: {"blends": 0.5, "blend_parts": 4, "blend_reach": 1.8}}

@@ -96,7 +96,7 @@ class PDVMRNN(nn.Module):
         config, sensors, shapes = self.config, self.sensors, self.state_shapes
         vision, motor, top, lateral = config.vision_channels, config.motor_units, config.top_channels, config.lateral_channels
         grid, top_size = shapes[f"vision{config.num_levels}"][1:], shapes["top"][1:]
-        features = config.seen_channels * grid[0] * grid[1]
+        features = config.seen_channels * grid[0] * grid[1] + 2 * config.keypoints
         self.coding = JointCoding(torch.tensor(sensors.joint_lower), torch.tensor(sensors.joint_upper), config.units_per_joint)
         num_codes = sensors.num_joints * config.units_per_joint
 
@@ -105,7 +105,15 @@ class PDVMRNN(nn.Module):
         self.ups = nn.ModuleList(Up(low, into) for low, into in zip((sensors.channels, *vision), (*flow, top), strict=True))
         self.downs = nn.ModuleList(Down(high, into) for into, high in zip(flow, (*vision[1:], top), strict=True))
         self.laterals = nn.ModuleList(
-            Lateral(channels=c, units=u, size=shapes[f"vision{level}"][1:], grid=grid, lateral=lateral, seen=config.seen_channels)
+            Lateral(
+                channels=c,
+                units=u,
+                size=shapes[f"vision{level}"][1:],
+                grid=grid,
+                lateral=lateral,
+                seen=config.seen_channels,
+                keypoints=config.keypoints,
+            )
             for level, (c, u) in enumerate(zip(vision, motor, strict=True), start=1)
         )
         self.motor_to_top = Linear(motor[-1], lateral * top_size[0] * top_size[1])

@@ -1,7 +1,7 @@
-"""Pictures moved by a part of a pixel or a few: how a thing looks that lies a little elsewhere, or a camera that was touched.
+"""Pictures moved by a part of a pixel or a few, to be looked at again.
 
-A network that has seen a hundred first frames knows each of them to a pixel and not what lies between. Moved a little, anew each time, they
-teach it to look where things lie beside one another.
+What a network makes of a picture that it never saw is a little off, and off otherwise where the picture lies a little elsewhere. Moved to
+all sides alike, what is told of it differs by as much to one side as to the other, so that the mean of all looks is nearer than one.
 
 >>> dot = torch.zeros(1, 1, 4, 4)
 >>> dot[0, 0, 1, 1] = 1.0
@@ -23,15 +23,10 @@ def shifted(pictures: Float[Tensor, "B C H W"], by: Float[Tensor, "B 2"]) -> Flo
         by: pixels to the right and down.
     """
     height, width = pictures.shape[-2:]
-    here = torch.eye(2, 3).to(by).expand(len(by), 2, 3)
-    moved = torch.cat([here[..., :2], -2 * (by / by.new_tensor([width, height]))[..., None]], dim=-1)
+    here = torch.eye(2, device=by.device, dtype=by.dtype).expand(len(by), 2, 2)
+    moved = torch.cat([here, -2 * torch.stack([by[:, 0] / width, by[:, 1] / height], dim=-1)[..., None]], dim=-1)
     places = nn.functional.affine_grid(moved, list(pictures.shape), align_corners=False)
     return nn.functional.grid_sample(pictures, places, padding_mode="border", align_corners=False)
-
-
-def draw_shifts(count: int, largest: float, generator: torch.Generator) -> Float[Tensor, "B 2"]:
-    """So many shifts, each direction evenly between minus and plus the largest (pixels)."""
-    return largest * (2 * torch.rand(count, 2, generator=generator) - 1)
 
 
 def glances(picture: Float[Tensor, "C H W"], by: float) -> Float[Tensor, "looks C H W"]:

@@ -24,6 +24,8 @@ class ModelConfig:
     """Feature maps that carry the motor path to the vision path; the paper does not say how many."""
     seen_channels: int = 4
     """Feature maps that carry the vision path to the motor path; the paper does not say how many."""
+    keypoints: int = 0
+    """Points of the feature maps whose places go from vision to the motors besides (spatial softmax, Levine et al. 2016)."""
     intention_layers: tuple[str, ...] = ("top", "vision3", "motor3")
     """Layers whose initial states are the intention; the others start from a learned state that all sequences share."""
     intention_dimensions: int | None = 16

@@ -34,7 +34,6 @@ from preimage.processes import Crew
 from preimage.records import Demonstration
 from preimage.runs import write_config, write_shown, write_weights
 from preimage.sequences import Sequences, pad, sensors_of
-from preimage.shifting import draw_shifts
 from preimage.sizes import ModelConfig
 from preimage.whole_file import whole_file, write_json
 
@@ -67,8 +66,6 @@ class TrainConfig:
     """Demonstrations in a blend."""
     blend_reach: float = 1.3
     """How far blends reach, in sizes of what their demonstrations span; beyond 1 some lie outside of it."""
-    start_shift: float = 0.0
-    """How far the frame that an imagination starts from is moved at most, drawn anew each time (pixels, `shifting`)."""
     rest_steps: int = 30
     """Steps of rest after a demonstration's end that count: the arm learns to stay at the goal."""
     precision: Literal["bfloat16", "float32"] = "bfloat16"
@@ -242,10 +239,9 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     parts, charges = model.intention_table.draw(blends.rows.flatten(), generator)
     intention, charge = blends.intention(parts), charges.view_as(blends.rows)[:, 0]
     steps = begin_steps(sequences.lengths[rows], config, generator)
-    shifts = draw_shifts(len(rows), config.start_shift, generator)
     mine = crew.share(len(rows))
     shown = blends[mine].sequences(sequences, steps[mine])
-    error = error_of(learner, intention[mine], shown, blends.blended[mine], shifts[mine], config)
+    error = error_of(learner, intention[mine], shown, blends.blended[mine], config)
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
@@ -271,20 +267,14 @@ def begin_steps(lengths: Int[Tensor, " B"], config: TrainConfig, generator: torc
 
 
 def error_of(
-    learner: Learner,
-    intention: IntentionState,
-    sequences: Sequences,
-    blended: Bool[Tensor, " B"],
-    shifts: Float[Tensor, "B 2"],
-    config: TrainConfig,
+    learner: Learner, intention: IntentionState, sequences: Sequences, blended: Bool[Tensor, " B"], config: TrainConfig
 ) -> SequenceError:
     """The errors of a batch, by what was recorded at the first one."""
-    given = sequences.frames, sequences.joints, sequences.mask, blended, shifts
+    given = sequences.frames, sequences.joints, sequences.mask, blended
     inputs = [intention.flatten(), *(each.to(learner.model.pixel_bias.device) for each in given)]
     if learner.batch_error is None:
-        how = {"share": config.open_loop_share, "dtype": getattr(torch, config.precision)}
-        also = {"blends": config.blends > 0, "shifts": config.start_shift > 0}
-        learner.batch_error = recorded_with_gradients(BatchError(learner.model, **how, **also), inputs)
+        how = {"share": config.open_loop_share, "dtype": getattr(torch, config.precision), "blends": config.blends > 0}
+        learner.batch_error = recorded_with_gradients(BatchError(learner.model, **how), inputs)
     return SequenceError(*learner.batch_error(*inputs))
 
 

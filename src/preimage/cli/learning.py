@@ -79,6 +79,7 @@ def train_(
     intention_cost: float | None = None,
     intention_layers: tuple[str, ...] | None = None,
     seen_channels: int | None = None,
+    keypoints: int | None = None,
     view: View = View(),  # noqa: B008, frozen
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008, frozen
 ) -> None:
@@ -98,6 +99,7 @@ def train_(
         intention_cost: charge for what an intention tells, instead of the size's own: more where most can be seen at the start.
         intention_layers: layers whose initial states are the intention, instead of the size's own: top where most can be seen.
         seen_channels: feature maps that carry vision to the motors, instead of the size's own.
+        keypoints: points whose places go from vision to the motors besides, for small things that have to be found; none by default.
         view: how the recordings are looked at.
         config: how the network learns.
     """
@@ -106,7 +108,7 @@ def train_(
     recorded, lines = opened.demonstrations, list(opened.told)
     learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "held_out": every_nth(len(recorded), hold_out)}
     room = {"intention_dimensions": intention_dimensions, "intention_cost": intention_cost, "intention_layers": intention_layers}
-    model_config = sized(size, rate_hz=rate_hz, seen_channels=seen_channels, **room)
+    model_config = sized(size, rate_hz=rate_hz, seen_channels=seen_channels, keypoints=keypoints, **room)
     if resume:
         learned_from = begun_with(out, data, learned_from["fingerprint"])
         asked, config = config, read_settings(TrainConfig, out, "train")
