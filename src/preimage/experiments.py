@@ -25,7 +25,7 @@ from preimage.planning import PlanConfig, recognise
 from preimage.processes import Crew
 from preimage.provenance import provenance
 from preimage.records import Demonstration
-from preimage.robot import TASKS, Arm, record
+from preimage.robot import TASKS, Arm, Task, record, with_frames
 from preimage.runs import load_model, made_from, read_config, read_settings, read_shown, write_card
 from preimage.sizes import ModelConfig
 from preimage.training import Progress, TrainConfig, train
@@ -45,6 +45,8 @@ NETWORKS: dict[str, dict[str, Any]] = {
 """The networks of the tasks with such scenes, where not as the size says. What sees an object to move tells more to the motors."""
 FEWER_UNITS = {"motor_units": (384, 256, 16)}
 """Of a small network that sees more, so that it stays as small."""
+FINER: dict[str, Any] = {"vision_channels": (8, 16, 32, 32), "motor_units": (384, 256, 64, 16), "seen_channels": 4, "keypoints": 8}
+"""Of a small network for frames twice as large: a level below the others, so that its upper ones see as far as they do in small frames."""
 LEARNING: dict[str, dict[str, Any]] = {
     "two-points": {"updates": 1500, "later_starts": 0.5},
     "move-object": {"updates": 1300},
@@ -67,6 +69,8 @@ class Cell:
     seed: int = 0
     size: str = "small"
     loops: tuple[Loop, ...] = ("closed",)
+    pixels: int = 64
+    """Height and width of the frames."""
     updates: int | None = None
     """Of the training; by default as many as the task asks for."""
     goals: int | None = None
@@ -74,7 +78,17 @@ class Cell:
 
     @property
     def name(self) -> str:
-        return f"{self.task}-{self.num_demonstrations}-{self.size}-seed{self.seed}"
+        return f"{self.data}-{self.size}-seed{self.seed}"
+
+    @property
+    def data(self) -> str:
+        """Name of its demonstrations."""
+        return f"{self.task}-{self.num_demonstrations}" + (f"-{self.pixels}px" if self.pixels != Cell.pixels else "")
+
+    @property
+    def filmed(self) -> Task:
+        """The task in frames of the cell's size."""
+        return with_frames(TASKS[self.task], self.pixels)
 
 
 PAPER: dict[str, dict[str, float]] = {
@@ -102,7 +116,8 @@ def cells_of(table: str, size: str) -> list[Cell]:
     tables = {
         "table-2": [Cell("reach", count, seed, size) for count in (100, 50, 25) for seed in (0, 1, 2)],
         "two-points": [Cell("two-points", seed=seed, size=size) for seed in (0, 1, 2)],
-        "table-3": [Cell("move-object", seed=seed, size=size, loops=("closed", "open", "recorded")) for seed in (0, 1, 2)],
+        "table-3": [Cell("move-object", seed=seed, size=size, loops=("closed", "open", "recorded")) for seed in (0, 1, 2)]
+        + [Cell("move-object", size=size, loops=("closed", "open"), pixels=2 * Cell.pixels)],
         "two-circles": [Cell("two-circles", size=size)],
     }
     if table == "all":
@@ -153,11 +168,11 @@ def jobs_of(cell: Cell, work: Path, tell: TELL) -> dict[str, Job]:
 
 def demonstrations_of(cell: Cell, work: Path, tell: TELL) -> list[Demonstration]:
     """The cell's demonstrations, recorded where they are not there yet; fewer are the first of more."""
-    folder = work / "data" / f"{cell.task}-{cell.num_demonstrations}"
+    folder = work / "data" / cell.data
     if not folder.exists():
         tell(f"recording {number_of(cell.num_demonstrations, 'demonstration')} of {cell.task}")
         arm = Arm()
-        demonstrations = record(arm, TASKS[cell.task], count=cell.num_demonstrations, seed=0)
+        demonstrations = record(arm, cell.filmed, count=cell.num_demonstrations, seed=0)
         save(demonstrations, folder, task=cell.task, joint_unit=arm.joint_unit)
     return load(folder)
 
@@ -185,7 +200,7 @@ def model_of(
         "size": cell.size,
         "task": cell.task,
         "num_demonstrations": len(demonstrations),
-        "data": {"name": f"{cell.task}-{cell.num_demonstrations}", "fingerprint": fingerprint(demonstrations)},
+        "data": {"name": cell.data, "fingerprint": fingerprint(demonstrations)},
         "provenance": provenance(place),
     }
     crew = Crew(device=place)
@@ -197,6 +212,8 @@ def model_of(
 def network_of(cell: Cell) -> ModelConfig:
     """The cell's network, with the room of its intention."""
     network = replace(SIZES[cell.size](), **NETWORKS.get(cell.task, {}))
+    if cell.size == "small" and cell.pixels > Cell.pixels:
+        return replace(network, **FINER)
     more = network.seen_channels > ModelConfig.seen_channels
     return replace(network, **FEWER_UNITS) if cell.size == "small" and more else network
 
@@ -237,7 +254,7 @@ def evaluation_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstration
 
     run = work / "runs" / cell.name
     evaluated = evaluate(
-        model, Arm(), TASKS[cell.task], goals=goals, seed=TEST_SEED + cell.seed, shown=read_shown(run), loop=loop,
+        model, Arm(), cell.filmed, goals=goals, seed=TEST_SEED + cell.seed, shown=read_shown(run), loop=loop,
         policies=policies, progress=count,
     )  # fmt: skip
     about = asdict(cell) | {"model": cell.name, "seed": TEST_SEED + cell.seed, "loop": loop} | made_from(run)
@@ -255,7 +272,7 @@ def recognition_of(cell: Cell, model: PDVMRNN, demonstrations: list[Demonstratio
     Their error stands beside that of training sequences recognised in the same way. The map shows where the intentions lie.
     """
     count = cell.goals or 20
-    novel = record(Arm(), TASKS[cell.task], count=count, seed=RECOGNITION_SEED + cell.seed)
+    novel = record(Arm(), cell.filmed, count=count, seed=RECOGNITION_SEED + cell.seed)
     found = {"training": demonstrations[:count], "novel": novel}
     recognised = {name: [recognise(model, one) for one in several] for name, several in found.items()}
     places = {name: np.stack([one.intention.flatten()[0].cpu().numpy() for one in several]) for name, several in recognised.items()}
@@ -303,7 +320,7 @@ def modalities_of(cell: Cell, model: PDVMRNN, _: list[Demonstration], *, work: P
     shown = read_shown(work / "runs" / cell.name)
     for modalities in ("vision", "joints", "both"):
         config = replace(PlanConfig(), modalities=modalities)
-        evaluated = evaluate(model, Arm(), TASKS[cell.task], goals=goals, seed=MODALITIES_SEED + cell.seed, shown=shown, config=config)
+        evaluated = evaluate(model, Arm(), cell.filmed, goals=goals, seed=MODALITIES_SEED + cell.seed, shown=shown, config=config)
         arrived = [(one.plan, one.plan.arrival_step, one.demonstration.last) for one in evaluated]
         counted = result_of(evaluated, {})
         rows[modalities] = {name: counted[name] for name in ("success", "goals", "interval", "deviation_cm")} | {

@@ -46,7 +46,7 @@ class PlanConfig(RegressionConfig):
     """Whether the goal is to be stayed in; without, it is enough to pass through it, as in the paper."""
     recalls: bool = True
     """Whether a goal given as a picture is held to be reached with joints that go with such pictures in the model's memory."""
-    glance: float = 0.02
+    glance: float = 0.03
     """Heights of a frame by which the start frame is moved, to eight sides, to be looked at again: the way is the mean of what is imagined
     from all nine, for what the network makes of one picture is a little off, each time otherwise. 0: one look."""
 

@@ -17,7 +17,7 @@ from preimage.options import refuse_out_of_range
 from preimage.processes import gather
 from preimage.provenance import provenance
 from preimage.report import examined_page, learning_curve
-from preimage.robot import TASKS, Arm, record
+from preimage.robot import TASKS, Arm, record, with_frames
 from preimage.runs import find_run, read_config, read_settings, read_view, write_card
 from preimage.sizes import ModelConfig
 from preimage.training import Progress as Told
@@ -26,7 +26,7 @@ from preimage.view import View
 from preimage.wording import number_of
 
 
-def record_(task: Positional[str], count: int, out: Path, seed: int = 0) -> None:
+def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels: int = 64) -> None:
     """Record demonstrations of a task on the simulated arm, as a LeRobotDataset v3.0.
 
     Args:
@@ -34,14 +34,18 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0) -> None
         count: how many demonstrations.
         out: folder to write, new or empty.
         seed: draws the scenes and the tutor's hand.
+        pixels: height and width of the frames.
     """
     known_task(task)
+    if not 16 <= pixels <= 1024:
+        raise ValueError(f"--pixels is {pixels}: give 16 to 1024")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"{out} is there already: give a new folder")
     with bar() as progress:
         shown = progress.add_task("recording", total=count)
         arm = Arm()
-        demonstrations = record(arm, TASKS[task], count=count, seed=seed, progress=lambda _done, _all: progress.advance(shown))
+        filmed = with_frames(TASKS[task], pixels)
+        demonstrations = record(arm, filmed, count=count, seed=seed, progress=lambda _done, _all: progress.advance(shown))
     save(demonstrations, out, task=task, joint_unit=arm.joint_unit)
     steps = sum(map(len, demonstrations))
     print(f"{number_of(count, 'demonstration')}, {number_of(steps, 'step')} at {TASKS[task].rate_hz:g} Hz, in {out}")

@@ -19,7 +19,7 @@ from preimage.planning import PlanConfig
 from preimage.processes import Crew, gather
 from preimage.provenance import provenance
 from preimage.report import fill_readme, write_results
-from preimage.robot import TASKS, Arm
+from preimage.robot import TASKS, Arm, with_frames
 from preimage.runs import find_run, load_model, made_from, read_shown
 from preimage.training import Progress as Told
 from preimage.whole_file import write_json
@@ -65,7 +65,8 @@ def evaluate_(
     folder = find_run(run)
     model, learned_from, made = load_model(folder).to(crew.device), read_shown(folder), made_from(folder)
     about = {"task": task, "model": run} | made
-    about |= {"seed": seed, "loop": loop, "paper": paper_of(task, made["num_demonstrations"], loop)}
+    filmed = with_frames(TASKS[task], model.sensors.height)
+    about |= {"seed": seed, "loop": loop, "pixels": model.sensors.height, "paper": paper_of(task, made["num_demonstrations"], loop)}
     about |= {"plan": asdict(config), "provenance": provenance(crew.device)}
     mine = len(crew.share(goals))
     with bar(shown=crew.first) as progress:
@@ -80,7 +81,7 @@ def evaluate_(
                 print(f"{so_far}, {mine - len(reached)} goals left", file=sys.stderr, flush=True)
 
         evaluated = evaluate(
-            model, Arm(), TASKS[task], goals=goals, seed=seed, shown=learned_from, config=config, loop=loop, progress=tell, crew=crew
+            model, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, config=config, loop=loop, progress=tell, crew=crew
         )
     if not crew.first:
         return
