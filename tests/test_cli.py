@@ -37,6 +37,14 @@ def test_record_writes_what_train_reads(capsys, tmp_path):
         np.testing.assert_array_equal(one.frames, other.frames)
 
 
+def test_a_model_of_smaller_frames_is_evaluated_in_such(capsys, tmp_path):
+    cli.main(["record", "reach", "--count", "2", "--pixels", "32", "--out", str(tmp_path / "data")])
+    assert preimage.load(tmp_path / "data")[0].frames.shape[1:] == (32, 32, 1)
+    cli.main(["train", str(tmp_path / "data"), "--out", str(tmp_path / "run"), "--size", "tiny", "--updates", "1"])
+    cli.main(["evaluate", str(tmp_path / "run"), "--goals", "1", "--out", str(tmp_path / "result.json"), *QUICK])
+    assert json.loads((tmp_path / "result.json").read_text())["pixels"] == 32
+
+
 def test_small_frames_that_no_ladder_fits_are_brought_to_one(capsys, tmp_path):
     preimage.save([make_demonstration(size=(30, 50, 1)) for _ in range(2)], tmp_path / "data", task="reach")
     cli.main(["train", str(tmp_path / "data"), "--out", str(tmp_path / "run"), "--size", "tiny", "--updates", "1"])

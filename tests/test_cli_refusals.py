@@ -35,6 +35,7 @@ def test_words_that_are_off(capsys):
 
 def test_unknown_task(refused, tmp_path):
     assert refused("record", "juggle", "--count", 1, "--out", tmp_path / "x")[0] == 2
+    assert "--pixels is 8: give 16 to 1024" in refused("record", "reach", "--count", 1, "--out", tmp_path / "x", "--pixels", 8)[1]
     assert "juggle is no task; known are reach" in refused("record", "juggle", "--count", 1, "--out", tmp_path / "x")[1]
 
 

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from preimage.experiments import SIZES, Cell, cells_of, goals_of, principal_plane, rank_correlation, reproduce
+from preimage.experiments import SIZES, Cell, cells_of, goals_of, network_of, principal_plane, rank_correlation, reproduce
+from preimage.model import PDVMRNN
 from preimage.records import Demonstration
 from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS
-from preimage.sizes import ModelConfig
+from preimage.sizes import ModelConfig, Sensors
 
 
 def test_all_cells_of_the_paper() -> None:
@@ -21,6 +22,16 @@ def test_all_cells_of_the_paper() -> None:
     assert {cell.task for cell in cells_of("all", "paper")} == {"reach", "two-points", "move-object", "two-circles"}
     with pytest.raises(ValueError, match="table-9 is no table"):
         cells_of("table-9", "small")
+
+
+def test_larger_frames_are_a_cell_of_their_own() -> None:
+    larger = [cell for cell in cells_of("table-3", "small") if cell.pixels != 64]
+    assert [(cell.name, cell.filmed.furniture.camera.height) for cell in larger] == [("move-object-100-128px-small-seed0", 128)]
+    network = network_of(larger[0])
+    ladder = PDVMRNN(network, Sensors(128, 128, 1, ("a",), (0.0,), (1.0,))).state_shapes
+    plain = PDVMRNN(ModelConfig.small(), Sensors(64, 64, 1, ("a",), (0.0,), (1.0,))).state_shapes
+    assert ladder["top"] == plain["top"]
+    assert ladder["vision4"] == plain["vision3"]
 
 
 def test_neighbours_that_stay_neighbours_correlate_fully() -> None:

@@ -212,8 +212,9 @@ def percent(share: float) -> str:
 
 
 def size_of(one: Mapping[str, Any]) -> str:
-    learned = one.get("training_seed")
-    return f"{one.get('size')}, {'–' if learned is None else learned}/{one['seed']}"
+    learned, pixels = one.get("training_seed"), one.get("pixels", 64)
+    frames = f" {pixels}x{pixels}" if pixels != 64 else ""
+    return f"{one.get('size')}{frames}, {'–' if learned is None else learned}/{one['seed']}"
 
 
 def counted(one: Mapping[str, Any]) -> str:
