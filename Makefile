@@ -11,13 +11,16 @@ READY := $(VENV)/.ready
 demo: $(READY)
 	$(RUN)/preimage demo
 
+# A process a core, each with one thread: torch's threads would wait for one another.
+PYTEST = OMP_NUM_THREADS=1 $(RUN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
+
 test: fast slow
 
 fast: $(READY)
-	$(RUN)/python -m pytest -m "not slow"
+	$(PYTEST) -m "not slow"
 
 slow: $(READY)
-	$(RUN)/python -m pytest -m slow
+	$(PYTEST) -m slow
 
 check: $(READY)
 	$(RUN)/ruff check .
