@@ -103,6 +103,9 @@ def test_baselines_are_those_that_were_named(compared, demonstrations):
         nearest = min(demonstrations, key=lambda each, wanted=wanted: np.square(each.frames[-1] - wanted).sum())
         by_hand = np.abs(nearest.joints[-1] - one.demonstration.joints[-1]).mean()
         assert one.baselines["nearest_demonstration"].joints_at_arrival == pytest.approx(by_hand)
+        recalled = one.baselines["recalled_joints"]
+        assert recalled.joints_at_arrival == pytest.approx(np.abs(one.plan.recalled - one.demonstration.joints[-1]).mean())
+        assert (recalled.frame_at_arrival, recalled.frames_on_the_way) == (None, None)
 
 
 def test_a_result_survives_json_and_agrees_with_its_rows(compared):
@@ -130,9 +133,10 @@ def test_what_is_printed_claims_no_success(compared):
     assert lines[0] == "2 episodes never trained on: 3, 8"
     assert "no success rate" in lines[-1]
     share = result["imagined_as_share_of"]["nearest_demonstration"]["joints_at_arrival"]
-    assert lines[6] == f"At arrival the imagined joints are off by {share:.2f} of the error of nearest_demonstration, on average."
-    assert lines[7].startswith("At arrival the imagined frame is off by ")
-    assert [line.split()[0] for line in lines[2:6]] == ["imagined", "nearest_demonstration", "prior_mean", "staying"]
+    assert lines[7] == f"At arrival the imagined joints are off by {share:.2f} of the error of nearest_demonstration, on average."
+    assert lines[8].startswith("At arrival the imagined frame is off by ")
+    ways = ["imagined", "nearest_demonstration", "recalled_joints", "prior_mean", "staying"]
+    assert [line.split()[0] for line in lines[2:7]] == ways
 
 
 def test_films_show_best_median_and_worst(compared, tmp_path):

@@ -2,7 +2,8 @@
 
 Each held-out episode is planned anew, from its first percept to its last frame, and what is imagined is compared with what was recorded.
 That is no success rate: nobody moved, and a way that differs from the recorded one may lead to the goal as well. Beside it stand the
-demonstration that ends most alike, the same model without a goal, and staying at the start.
+demonstration that ends most alike, the straight way to the joints that memory expects at the goal, the same model without a goal, and
+staying at the start.
 
 Two ways of different lengths are compared at the same share of the way, from 0 at the start to 1 at arrival (time-normalised).
 
@@ -51,8 +52,8 @@ class Errors:
     joints_on_the_way: float
     """Absolute difference, mean over joints and moments of the way."""
     joints_on_the_way_rms: float
-    frame_at_arrival: float
-    """Mean squared difference of the last frames, over pixels and channels of 0 to 255."""
+    frame_at_arrival: float | None
+    """Mean squared difference of the last frames, over pixels and channels of 0 to 255; None where a way has joints alone."""
     frames_on_the_way: float | None
     """The same, mean over moments of the way; None where nothing but the last frame is known."""
 
@@ -75,7 +76,7 @@ class Way:
     """Where joints and camera went, from the start to the arrival."""
 
     joints: Float[np.ndarray, "T J"]
-    last_frame: UInt8[np.ndarray, "H W C"]
+    last_frame: UInt8[np.ndarray, "H W C"] | None = None
     frames: UInt8[np.ndarray, "T H W C"] | None = None
 
 
@@ -129,7 +130,7 @@ def compare(
     for episode in (episodes[number] for number in crew.share(len(episodes))):
         one = demonstrations[episode]
         found = plan(model, start=one.first, goal=goal_of(one, config), config=config, library=library)
-        baselines = {name: errors_of(one, way) for name, way in baselines_of(model, one, shown, config).items()}
+        baselines = {name: errors_of(one, way) for name, way in baselines_of(model, one, found, shown, config).items()}
         by_joint = np.abs(found.joints[found.arrival_step] - one.joints[-1])
         compared[episode] = Compared(episode, one, found, errors_of(one, way_of(found)), by_joint, baselines)
         if progress:
@@ -222,7 +223,9 @@ def lines_of(result: Mapping[str, Any]) -> list[str]:
     ]
     for name, counted in {"imagined": result["imagined"], **result["baselines"]}.items():
         cells = [counted[key] for key in ("joints_at_arrival", "joints_on_the_way", "frame_at_arrival")]
-        lines.append(f"{name:22s}" + "".join(f"{cell['mean']:>13.4g} ({cell['median']:>8.4g})" for cell in cells))
+        lines.append(
+            f"{name:22s}" + "".join(f"{cell['mean']:>13.4g} ({cell['median']:>8.4g})" if cell else f"{'–':>24s}" for cell in cells)
+        )
     shares = result["imagined_as_share_of"]
     for what, key, against in (
         ("joints are", "joints_at_arrival", "nearest_demonstration"),
@@ -273,10 +276,12 @@ def way_of(plan: Plan) -> Way:
     return Way(plan.joints[:end], plan.frames[end - 1], plan.frames[:end])
 
 
-def baselines_of(model: PDVMRNN, one: Demonstration, shown: Sequence[Shown], config: PlanConfig) -> dict[str, Way]:
+def baselines_of(model: PDVMRNN, one: Demonstration, found: Plan, shown: Sequence[Shown], config: PlanConfig) -> dict[str, Way]:
     nearest = nearest_shown(shown, one.last)
+    recalled = {} if found.recalled is None else {"recalled_joints": Way(np.stack([one.joints[0], found.recalled]))}
     return {
         "nearest_demonstration": Way(nearest.joints, nearest.last_frame),
+        **recalled,
         "prior_mean": way_of(imagine_without_goal(model, one.first, config=config)),
         "staying": Way(one.joints[:1], one.frames[0], one.frames[:1]),
     }
@@ -294,7 +299,7 @@ def errors_of(recorded: Demonstration, way: Way) -> Errors:
         joints_at_arrival_rms=float(np.sqrt(np.square(end).mean())),
         joints_on_the_way=float(np.abs(on_the_way).mean()),
         joints_on_the_way_rms=float(np.sqrt(np.square(on_the_way).mean())),
-        frame_at_arrival=squared_difference(way.last_frame, recorded.frames[-1]),
+        frame_at_arrival=None if way.last_frame is None else squared_difference(way.last_frame, recorded.frames[-1]),
         frames_on_the_way=frames,
     )
 

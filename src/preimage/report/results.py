@@ -154,7 +154,8 @@ def held_out_table(found: Results) -> str:
     for one in found:
         if one.get("kind") == "held-out":
             for way, errors in {"imagined": one["imagined"], **one["baselines"]}.items():
-                spread = [f"{errors[name]['mean']:.3g} ({errors[name]['median']:.3g})" for name in names]
+                known = [errors[name] for name in names]
+                spread = [f"{each['mean']:.3g} ({each['median']:.3g})" if each else "" for each in known]
                 rows.append([one["data"]["name"], one["model"], f"{len(one['episodes'])}", way.replace("_", " "), *spread])
     head = ["recordings", "run", "held out", "way", "joints at arrival", "joints on the way", "frame at arrival"]
     told = "Mean (median) difference from what was recorded, joints in the unit of the data, frames in squared grey levels. No robot moved."
