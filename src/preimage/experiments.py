@@ -43,7 +43,7 @@ NETWORKS: dict[str, dict[str, Any]] = {
     "two-circles": LITTLE_ROOM | {"intention_cost": 0.05, "keypoints": 8},
 }
 """The networks of the tasks with such scenes, where not as the size says. What sees an object to move tells more to the motors."""
-FEWER_UNITS = {"motor_units": (384, 256, 16)}
+FEWER_UNITS: dict[str, dict[str, Any]] = {"move-object": {"motor_units": (384, 256, 16)}}
 """Of a small network that sees more, so that it stays as small."""
 FINER: dict[str, Any] = {"vision_channels": (8, 16, 32, 32), "motor_units": (384, 256, 64, 16), "seen_channels": 4, "keypoints": 8}
 """Of a small network for frames twice as large: a level below the others, so that its upper ones see as far as they do in small frames."""
@@ -212,10 +212,9 @@ def model_of(
 def network_of(cell: Cell) -> ModelConfig:
     """The cell's network, with the room of its intention."""
     network = replace(SIZES[cell.size](), **NETWORKS.get(cell.task, {}))
-    if cell.size == "small" and cell.pixels > Cell.pixels:
-        return replace(network, **FINER)
-    more = network.seen_channels > ModelConfig.seen_channels
-    return replace(network, **FEWER_UNITS) if cell.size == "small" and more else network
+    if cell.size != "small":
+        return network
+    return replace(network, **(FINER if cell.pixels > Cell.pixels else FEWER_UNITS.get(cell.task, {})))
 
 
 def learning_of(cell: Cell) -> TrainConfig:
