@@ -140,13 +140,13 @@ def plan(
     found = min(tried, key=lambda one: float(one.error.min()))
     with torch.no_grad():
         imagined = imagine_at_a_glance(model, found.best, objective.start, config)
-        error, arrival = (each[0] for each in objective.errors(imagined))
+        error, arrival = (each[0].item() for each in objective.errors(imagined))
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
-    known = {"start": start, "goal": goal, "error": float(error)} | searched
+    known = {"start": start, "goal": goal, "error": error} | searched
     end = None
     if objective.expected:
         known["recalled"] = objective.expected.mean.double().cpu().numpy()
-        end = End.expected(objective.expected, unexplained=float(error) / max(to_explain, 1e-9))
+        end = End.expected(objective.expected, unexplained=error / max(to_explain, 1e-9))
     elif config.modalities != "vision":
         assert goal.joints is not None
         end = End.certain(goal.joints)
