@@ -72,8 +72,7 @@ Written by `preimage report` from the JSON files in `results/`; nothing here is 
 neither training nor tuning saw, with the Wilson 95 % interval. The baselines stand beside: *nearest demonstration* replays the
 demonstration whose last frame is most like the goal, *behaviour cloning* maps what is sensed and the goal frame to the next joints,
 *recalled joints* goes straight to where the model's memory, without its network, expects the arm at the goal, *prior mean* is the same
-model with no goal, *do nothing* leaves the arm where it starts. Sizes are those of `preimage train`; *narrow* is `small` as it was
-at first, with 256 and 128 units where its motor path has 512 and 256 now."""
+model with no goal, *do nothing* leaves the arm where it starts. Sizes are those of `preimage train`."""
 
 
 def reach_table(evaluations: Results) -> str:
