@@ -1,4 +1,4 @@
-"""Laws of error regression: gradients, weights untouched, the best iterate with its own error; plans of a model that learned a little."""
+"""Laws of planning and recognition, by a model that learned a little: residuals, memory, legs, glances; the weights stay untouched."""
 
 import itertools
 from dataclasses import fields, replace
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from bars import bar, objective, objective_to
 from preimage.arrival import End
 from preimage.coding import to_frames
 from preimage.first_guess import expected_joints
@@ -26,7 +27,7 @@ from preimage.planning import (
 )
 from preimage.prediction_error import WIDER, ExpectedJoints, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
-from preimage.regression import Places, leaps_from, learn_from_leap, regress_intention, slopes_among
+from preimage.regression import Places, regress_intention, slopes_among
 from preimage.shifting import glances
 from preimage.sizes import ModelConfig
 from preimage.training import TrainConfig, train
@@ -35,27 +36,11 @@ CONFIG = PlanConfig(precision="float32", glance=0.0)
 DESCEND = replace(CONFIG, method="descend")
 
 
-def bar(far: float, num_steps: int = 6) -> Demonstration:
-    """A bright bar that moves with the first joint, as far as is said."""
-    joints = np.linspace(0, far, num_steps)[:, None] * np.array([1.0, -0.5])
-    columns, place = np.arange(16), 2 + joints[:, :1] * 10
-    brightness = np.exp(-(((columns - place) / 1.5) ** 2))  # (T, 16)
-    frames = np.repeat((brightness * 220).astype(np.uint8)[:, None, :, None], 16, axis=1)
-    return Demonstration(frames, joints, 2.5, ("a", "b"))
-
-
 @pytest.fixture(scope="module")
 def model() -> PDVMRNN:
     shown = [bar(far) for far in np.linspace(0.2, 1, 6)]
     config = TrainConfig(updates=120, batch_size=6, learning_rate=1e-2, rest_steps=3, precision="float32")
     return train(shown, replace(ModelConfig.tiny(), intention_cost=1e-3), config=config)
-
-
-def tiny_double(dimensions: int | None = 4) -> PDVMRNN:
-    demonstrations = [bar(far) for far in (0.3, 0.6, 0.9)]
-    config = TrainConfig(updates=3, rest_steps=2, precision="float32")
-    model = train(demonstrations, replace(ModelConfig.tiny(), intention_dimensions=dimensions), config=config)
-    return model.double()
 
 
 def sensed_of(model: PDVMRNN, shown: Demonstration) -> InputSequence:
@@ -67,29 +52,6 @@ def nearly(codes: torch.Tensor) -> torch.Tensor:
     """Log codes a few percent off."""
     off = torch.linspace(-0.05, 0.05, codes.shape[-1])
     return (codes.log() + off).log_softmax(-1)
-
-
-def objective(model: PDVMRNN, modalities: str = "vision") -> ToGoal:
-    return replace(objective_to(model, bar(0.7)), modalities=modalities)
-
-
-@pytest.mark.parametrize("dimensions", [4, None])
-@pytest.mark.parametrize("modalities", ["vision", "joints", "both"])
-def test_gradient_of_the_goal_error_agrees_with_finite_differences(dimensions: int | None, modalities: str) -> None:
-    model = tiny_double(dimensions)
-    goal, space = objective(model, modalities), model.intention_table.space(2)
-    point = space.training[:1].clone().requires_grad_()
-
-    def error(at: torch.Tensor) -> torch.Tensor:
-        return goal.errors(imagine(model, space.intention(at), goal.start, num_steps=6, precision="float64"))[0].sum()
-
-    (gradient,) = torch.autograd.grad(error(point), point)
-    for number in range(point.shape[1]):
-        nudge = torch.zeros_like(point)
-        nudge[0, number] = 1e-5
-        with torch.no_grad():
-            slope = (error(point + nudge) - error(point - nudge)) / 2e-5
-        assert gradient[0, number].item() == pytest.approx(slope.item(), rel=1e-5, abs=1e-8)
 
 
 @pytest.mark.parametrize("modalities", ["vision", "joints", "both"])
@@ -162,10 +124,6 @@ def test_memory_is_imagined_where_a_plan_begins_with_other_joints(model: PDVMRNN
     shown = bar(0.8)
     assert torch.equal(imagine_library(model, shown.first, config=CONFIG).changes, model.shown_changes)
     assert not torch.equal(imagine_library(model, shown.last, config=CONFIG).changes, model.shown_changes)
-
-
-def objective_to(model: PDVMRNN, shown: Demonstration) -> ToGoal:
-    return ToGoal(as_inputs(model, shown.first, name="start"), as_inputs(model, shown.last, name="goal"))
 
 
 def test_residuals_of_a_sequence_are_its_error(model: PDVMRNN) -> None:
@@ -257,18 +215,6 @@ def test_a_modality_that_is_left_out_is_not_looked_at(model: PDVMRNN) -> None:
     assert np.array_equal(true.joints, misled.joints)
 
 
-def test_the_best_of_several_candidates_is_returned() -> None:
-    model = tiny_double()
-    goal, space = objective(model), model.intention_table.space(None)
-
-    def from_start(intention, num_steps=None):
-        return imagine(model, intention, goal.start, num_steps=num_steps or 6, precision="float64")
-
-    found = regress_intention(space, space.training, from_start, goal, config=replace(DESCEND, iterations=5))
-    again, _ = goal.errors(from_start(found.best))
-    assert again.item() == pytest.approx(found.error.min().item())
-
-
 @pytest.mark.parametrize(("doubt", "searches"), [(0.0, [2, 4]), (1e9, [2])])
 def test_a_plan_in_doubt_tries_the_other_first_guesses(model: PDVMRNN, monkeypatch, doubt: float, searches: list[int]) -> None:
     tried = []
@@ -314,17 +260,6 @@ def test_a_way_is_the_mean_of_what_is_imagined_from_all_looks(model: PDVMRNN) ->
     np.testing.assert_allclose(together.joints, np.mean([one.joints for one in alone], 0), atol=2e-3)  # frames are of whole grey levels
     np.testing.assert_array_equal(together.frames, alone[0].frames)
     assert np.abs(together.joints - alone[0].joints).max() > 1e-4
-
-
-def test_a_leap_solves_what_is_linear_and_learns_what_it_did() -> None:
-    generator = torch.Generator().manual_seed(0)
-    slopes, start = torch.randn(1, 3, 7, generator=generator), torch.randn(1, 7, generator=generator)
-    here = Places(torch.zeros(1, 3), torch.zeros(1), torch.zeros(1, dtype=torch.long), start)
-    least = -torch.linalg.lstsq(slopes[0].T, start[0]).solution
-    torch.testing.assert_close(leaps_from(here, slopes, cost=0.0)[0, 0], least, atol=2e-2, rtol=0)  # the least damped
-    there = Places(torch.tensor([[0.1, -0.2, 0.3]]), torch.zeros(1), here.aims, torch.randn(1, 7, generator=generator))
-    learned = learn_from_leap(slopes, here, there)
-    torch.testing.assert_close(((there.points - here.points)[:, :, None] * learned).sum(1), there.residuals - here.residuals)
 
 
 def test_slopes_are_told_by_what_is_known_around(model: PDVMRNN) -> None:

@@ -248,10 +248,9 @@ def follow(model: PDVMRNN, plan: Plan, *, glance: float = PlanConfig.glance) -> 
     and the next joints come out. Each frame is looked at as the start is (`PlanConfig.glance`).
     """
     forward = model.at(model.pixel_bias.dtype)
-    table = model.intention_table
-    intention = unflatten(torch.from_numpy(plan.intention).to(model.home_joints)[None], table.shapes)
     num_looks = len(glances(model.home_pixels, glance))
-    states = [model.initial_states(intention[torch.zeros(num_looks, dtype=torch.long)])]
+    same = torch.from_numpy(plan.intention).to(model.home_joints).expand(num_looks, -1)
+    states = [model.initial_states(unflatten(same, model.intention_table.shapes))]
 
     def predict(percept: Percept) -> Inputs:
         pixels, codes = as_inputs(model, percept, name="percept")
