@@ -30,6 +30,7 @@ class BatchError(nn.Module):
         frames: UInt8[Tensor, "B T H W C"],
         joints: Float[Tensor, "B T J"],
         mask: Float[Tensor, "B T"],
+        noise: Float[Tensor, "B C H W"],
         blended: Bool[Tensor, " B"],
     ) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
         """The visual and the proprioceptive error of each sequence.
@@ -38,12 +39,14 @@ class BatchError(nn.Module):
             intention: flattened (`IntentionState.flatten`).
             joints: angles (rad).
             mask: 1 where a step counts.
+            noise: on the first frame as it is looked at.
             blended: which sequences are blends.
         """
         model = self.model
         pixels, codes = to_pixels(frames), model.coding.encode(joints.clamp(model.coding.lower, model.coding.upper))
         intentions = unflatten(intention, model.intention_table.shapes)
-        generated = model.generate_open_loop(intentions, (pixels, codes), share=self.share, dtype=self.dtype)
+        start = pixels[:, 0] + noise, codes[:, 0]
+        generated = model.generate_open_loop(intentions, (pixels, codes), start=start, share=self.share, dtype=self.dtype)
         error = sequence_error(generated, pixels, codes, mask)
         if not self.blends:
             return error.visual, error.proprioceptive

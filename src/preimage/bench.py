@@ -118,12 +118,13 @@ def update_of(work: Work, place: torch.device) -> tuple[PDVMRNN, Callable[[], No
     frames = torch.full((*shape, sensors.height, sensors.width, sensors.channels), 127, dtype=torch.uint8)
     sequences = Sequences(frames, torch.zeros(*shape, sensors.num_joints), torch.full((work.batch,), work.steps), rest_steps=0)
     rows, blended = torch.arange(work.batch), torch.zeros(work.batch, dtype=torch.bool)
+    no_noise = torch.zeros(work.batch, *model.pixel_bias.shape)
     generator = torch.Generator().manual_seed(0)
 
     def once() -> None:
         model.zero_grad()
         intention, charge = model.intention_table.draw(rows, generator)
-        (error_of(learner, intention, sequences, blended, config).total + charge).mean().backward()
+        (error_of(learner, intention, sequences, no_noise, blended, config).total + charge).mean().backward()
 
     return model, once
 

@@ -39,7 +39,7 @@ LITTLE_ROOM: dict[str, Any] = {"intention_layers": ("top",), "intention_dimensio
 """For scenes of which most can be seen at the start: it is to be looked at, not remembered."""
 NETWORKS: dict[str, dict[str, Any]] = {
     "two-points": LITTLE_ROOM | {"intention_cost": 0.03},
-    "move-object": LITTLE_ROOM | {"intention_cost": 0.2, "seen_channels": 8},
+    "move-object": LITTLE_ROOM | {"intention_cost": 0.2, "keypoints": 8},
     "two-circles": LITTLE_ROOM | {"intention_cost": 0.05, "keypoints": 8},
 }
 """The networks of the tasks with such scenes, where not as the size says. What sees an object to move tells more to the motors."""
@@ -49,8 +49,8 @@ FINER: dict[str, Any] = {"vision_channels": (8, 16, 32, 32), "motor_units": (384
 """Of a small network for frames twice as large: a level below the others, so that its upper ones see as far as they do in small frames."""
 LEARNING: dict[str, dict[str, Any]] = {
     "two-points": {"updates": 1500, "later_starts": 0.5},
-    "move-object": {"updates": 1300},
-    "two-circles": {"updates": 1300},
+    "move-object": {"updates": 1300, "start_noise": 0.05},
+    "two-circles": {"updates": 1300, "start_noise": 0.05},
 }
 """How a task is learned, where not as `TrainConfig` says."""
 FEW: dict[int, dict[str, Any]] = {50: {"blends": 0.5}, 25: {"blends": 0.5, "blend_parts": 4, "blend_reach": 1.8}}

@@ -11,7 +11,7 @@ LEAST = {
     **dict.fromkeys(("updates", "batch_size", "warmup_updates", "checkpoint_every"), 1),
     **dict.fromkeys(("candidates", "guesses", "horizon", "dimensions", "intention_dimensions", "seen_channels"), 1),
     "blend_parts": 2,
-    **dict.fromkeys(("rest_steps", "seed", "iterations", "intention_cost", "doubt", "keypoints", "glance"), 0),
+    **dict.fromkeys(("rest_steps", "seed", "iterations", "intention_cost", "doubt", "keypoints", "glance", "start_noise"), 0),
 }
 ABOVE_ZERO = "rate_hz", "learning_rate", "intention_learning_rate", "gradient_norm", "delay_penalty", "probe", "blend_reach"
 SHARES = "final_share", "open_loop_share", "later_starts", "blends"

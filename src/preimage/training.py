@@ -60,6 +60,8 @@ class TrainConfig:
     """Share of the sensed percept in the network's input: 0 closed loop, 1 open loop."""
     later_starts: float = 0.0
     """Share of an update's sequences that begin at a later step of their demonstration, under the same intention."""
+    start_noise: float = 0.0
+    """Standard deviation of the noise on the first frame, in half ranges of a pixel: what is seen of it has to bear a little change."""
     blends: float = 0.0
     """Share of an update's sequences that are blends of alike demonstrations (`blending`); less than 1."""
     blend_parts: int = 3
@@ -239,9 +241,10 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     parts, charges = model.intention_table.draw(blends.rows.flatten(), generator)
     intention, charge = blends.intention(parts), charges.view_as(blends.rows)[:, 0]
     steps = begin_steps(sequences.lengths[rows], config, generator)
+    noise = config.start_noise * torch.randn(len(rows), *model.pixel_bias.shape, generator=generator)
     mine = crew.share(len(rows))
     shown = blends[mine].sequences(sequences, steps[mine])
-    error = error_of(learner, intention[mine], shown, blends.blended[mine], config)
+    error = error_of(learner, intention[mine], shown, noise[mine], blends.blended[mine], config)
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
@@ -267,10 +270,15 @@ def begin_steps(lengths: Int[Tensor, " B"], config: TrainConfig, generator: torc
 
 
 def error_of(
-    learner: Learner, intention: IntentionState, sequences: Sequences, blended: Bool[Tensor, " B"], config: TrainConfig
+    learner: Learner,
+    intention: IntentionState,
+    sequences: Sequences,
+    noise: Float[Tensor, "B C H W"],
+    blended: Bool[Tensor, " B"],
+    config: TrainConfig,
 ) -> SequenceError:
     """The errors of a batch, by what was recorded at the first one."""
-    given = sequences.frames, sequences.joints, sequences.mask, blended
+    given = sequences.frames, sequences.joints, sequences.mask, noise, blended
     inputs = [intention.flatten(), *(each.to(learner.model.pixel_bias.device) for each in given)]
     if learner.batch_error is None:
         how = {"share": config.open_loop_share, "dtype": getattr(torch, config.precision), "blends": config.blends > 0}
