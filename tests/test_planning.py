@@ -122,8 +122,8 @@ def test_what_lies_about_and_stays_does_not_change_what_is_expected(model: PDVMR
 
 def test_memory_is_imagined_where_a_plan_begins_with_other_joints(model: PDVMRNN) -> None:
     shown = bar(0.8)
-    assert torch.equal(imagine_library(model, shown.first, config=CONFIG).changes, model.shown_changes)
-    assert not torch.equal(imagine_library(model, shown.last, config=CONFIG).changes, model.shown_changes)
+    assert torch.equal(imagine_library(model, shown.first, config=CONFIG).arrivals, model.shown_arrivals)
+    assert not torch.equal(imagine_library(model, shown.last, config=CONFIG).arrivals, model.shown_arrivals)
 
 
 def test_residuals_of_a_sequence_are_its_error(model: PDVMRNN) -> None:

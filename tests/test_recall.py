@@ -30,8 +30,15 @@ def test_what_lies_between_is_nearer_than_the_nearest() -> None:
 
 @pytest.mark.parametrize("noise", [0.05, 0.2])
 def test_the_deviation_is_that_of_the_noise(noise: float) -> None:
-    recalled = recall(torch.full((4,), 0.3), *endings(200, noise))
+    amid = torch.tensor([0.5, 0.5, 0.25, 0.25])
+    recalled = recall(amid, *endings(200, noise))
     assert recalled.deviation == pytest.approx(torch.full((2,), noise).numpy(), rel=0.3)
+
+
+def test_what_lies_beyond_all_endings_is_told_less_surely() -> None:
+    features, values = endings()
+    amid, beyond = (recall(torch.tensor([a, a, a * a, a * a]), features, values) for a in (0.5, 2.0))
+    assert (beyond.deviation > 3 * amid.deviation).all()
 
 
 def test_a_single_ending_tells_itself_and_is_not_trusted() -> None:

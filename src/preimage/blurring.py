@@ -33,9 +33,23 @@ def blurred(pictures: Float[Tensor, "*batch C H W"], blur: float) -> Float[Tenso
     return rows @ pictures @ columns.T
 
 
-def change(before: Float[Tensor, "*#batch C H W"], after: Float[Tensor, "*batch C H W"]) -> Float[Tensor, "*batch C h w"]:
-    """What changed from one picture to another, coarsely seen: whatever lies about and stays does not count."""
-    return blurred(after - before, BLUR)
+WIDE = 0.15
+"""The same where pictures are compared to tell where something stands."""
+CHANGED = 0.1
+"""A pixel that changed by as much, in half ranges, counts in full."""
+
+
+def arrived(
+    before: Float[Tensor, "*#batch C H W"], after: Float[Tensor, "*batch C H W"], background: Float[Tensor, "C H W"]
+) -> Float[Tensor, "*batch D h w"]:
+    """What has come to stand in a picture, coarsely seen: where it changed, how much brighter or darker it is than the background.
+
+    Whatever lay about and stayed does not count, nor does the place that something has left. What is brighter and what is darker are told
+    apart, D being 2 C: seen coarsely, one would make up for the other.
+    """
+    changed = ((after - before).abs().amax(-3, keepdim=True) / CHANGED).clamp(max=1)
+    standing = changed * (after - background)
+    return blurred(torch.cat([standing.clamp(min=0), standing.clamp(max=0)], dim=-3), WIDE)
 
 
 def smoothing(size: int, deviation: float, device: torch.device) -> Float[Tensor, "kept size"]:

@@ -4,8 +4,9 @@ The nearer the search begins, the fewer iterations it needs and the fewer valley
 the left is not between the pictures of two arms; the intention of the way there is, nearly, between their intentions, and so are the
 joints in which it ends. What is recalled (`recall`) is the first of the guesses, and other joints than the recalled ones cost.
 
-Remembered is what a picture changed from start to end: whatever lies about and stays does not count. Where the plan begins with
-other joints than the demonstrations did, other things change, and how the model imagines its training sequences from there stands in.
+Remembered is what has come to stand in the picture from start to end: whatever lies about and stays does not count, nor what is gone.
+Where the plan begins with other joints than the demonstrations did, other things change, and how the model imagines its training sequences
+from there stands in.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.blurring import change
+from preimage.blurring import arrived
 from preimage.coding import JointCoding
 from preimage.model import Generated, Sensed
 from preimage.prediction_error import VISUAL_WEIGHT, ExpectedJoints, ToGoal, proprioceptive_error, visual_error
@@ -27,8 +28,10 @@ class Library:
 
     start: Sensed
     imagined: Generated
-    changes: Float[Tensor, "N C h w"]
-    """What each sequence changes in the picture, from its start to its end, coarsely seen."""
+    background: Float[Tensor, "C H W"]
+    """What is seen where nothing came to stand."""
+    arrivals: Float[Tensor, "N D h w"]
+    """What has come to stand in the picture at the end of each sequence, coarsely seen."""
     ends: Float[Tensor, "N J"]
     """The joints in which each ends (rad)."""
 
@@ -76,8 +79,8 @@ def first_guesses(
 
 def wanted_among(library: Library, objective: ToGoal, coding: JointCoding) -> tuple[Float[Tensor, " F"], Float[Tensor, "N F"]]:
     """How the goal looks and feels, and how the endings do, coarsely seen and felt."""
-    wanted = change(objective.start[0], objective.goal[0])
-    seen = VISUAL_WEIGHT**0.5 * torch.cat([wanted[None], library.changes]).flatten(1)
+    wanted = arrived(objective.start[0], objective.goal[0], library.background)
+    seen = VISUAL_WEIGHT**0.5 * torch.cat([wanted[None], library.arrivals]).flatten(1)
     felt = torch.cat([objective.goal[1][None], coding.encode(library.ends)]).flatten(1)
     parts = {"vision": [seen], "joints": [felt], "both": [seen, felt]}[objective.modalities]
     features = torch.cat(parts, 1)

@@ -28,7 +28,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from preimage.blurring import change
+from preimage.blurring import arrived
 from preimage.cells import LSTM, ConvLSTM, Down, Lateral, Linear, State, Up
 from preimage.coding import JointCoding
 from preimage.devices import Recorded
@@ -67,8 +67,10 @@ class PDVMRNN(nn.Module):
     """Mean first frame of the demonstrations."""
     home_joints: Float[Tensor, " J"]
     """Mean first joint angles of the demonstrations (rad)."""
-    shown_changes: Float[Tensor, "N C h w"]
-    """What changed from the first to the last frame of each demonstration, coarsely seen (`blurring`)."""
+    background: Float[Tensor, "C H W"]
+    """Median of the last frames of the demonstrations: what is seen where nothing came to stand."""
+    shown_arrivals: Float[Tensor, "N D h w"]
+    """What has come to stand in the last frame of each demonstration, coarsely seen (`blurring.arrived`)."""
     shown_ends: Float[Tensor, "N J"]
     """Last joint angles of each demonstration (rad)."""
     longest: Tensor
@@ -129,7 +131,9 @@ class PDVMRNN(nn.Module):
         self.shared = nn.ParameterDict({name: nn.Parameter(torch.zeros(2, *shape)) for name, shape in shapes.items()})
         self.register_buffer("home_pixels", torch.zeros(sensors.channels, sensors.height, sensors.width))
         self.register_buffer("home_joints", torch.zeros(sensors.num_joints))
-        self.register_buffer("shown_changes", torch.zeros(num_sequences, *change(self.home_pixels, self.home_pixels).shape))
+        self.register_buffer("background", torch.zeros_like(self.home_pixels))
+        nothing = arrived(self.home_pixels, self.home_pixels, self.background)
+        self.register_buffer("shown_arrivals", torch.zeros(num_sequences, *nothing.shape))
         self.register_buffer("shown_ends", torch.zeros(num_sequences, sensors.num_joints))
         self.register_buffer("longest", torch.tensor(0.0))
 

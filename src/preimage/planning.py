@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 
 from preimage.arrival import End, bent_to
-from preimage.blurring import change
+from preimage.blurring import arrived
 from preimage.coding import to_frames, to_pixels
 from preimage.first_guess import Library, expected_joints, feel_alike, first_guesses
 from preimage.intention import IntentionState, unflatten
@@ -88,9 +88,9 @@ def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: Pla
         table = model.intention_table.intentions()
         imagined = imagine(model, table, inputs, num_steps=horizon_of(model, config), precision=config.precision)
     if feel_alike(model.coding.encode(model.home_joints), inputs[1]):
-        return Library(inputs, imagined, model.shown_changes, model.shown_ends)
+        return Library(inputs, imagined, model.background, model.shown_arrivals, model.shown_ends)
     ends = model.coding.decode(imagined.log_codes[:, -1].exp())
-    return Library(inputs, imagined, change(inputs[0], imagined.pixels[:, -1]), ends)
+    return Library(inputs, imagined, model.background, arrived(inputs[0], imagined.pixels[:, -1], model.background), ends)
 
 
 def plan(

@@ -19,7 +19,7 @@ from torch import Tensor
 
 SCALES = (1.0, 3.0, 10.0, 30.0)
 """Squared lengths of the kernel that are tried, in median squared distances of the endings."""
-NOISES = (1e-4, 1e-3, 1e-2, 1e-1)
+NOISES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 """Variances of the noise that are tried, beside the kernel's 1."""
 
 
@@ -29,7 +29,7 @@ class Recalled:
 
     mean: Float[Tensor, " V"]
     deviation: Float[Tensor, " V"]
-    """Root mean square of what is off where one ending is recalled from all others."""
+    """How far it may be off: as much as where one ending is recalled from all others, and more the further away those are that tell it."""
 
 
 def recall(wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], values: Float[Tensor, "N V"]) -> Recalled:
@@ -48,9 +48,13 @@ def recall(wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], values: 
         for noise in NOISES:
             inverse = torch.linalg.inv(bordered(kernel + noise * torch.eye(count).to(kernel)))
             weights = inverse @ targets  # of the endings, and the mean
-            deviation = (weights[:count] / inverse.diagonal()[:count, None]).square().mean(0).sqrt()
-            mean = (towards @ weights[:count] + weights[count])[0]
-            tried.append((float(deviation.clamp(min=1e-12).log().sum()), Recalled(mean.to(values), deviation.to(values))))
+            variances = 1 / inverse.diagonal()[:count, None]  # of each ending, the others known
+            off = variances * weights[:count]
+            towards_all = torch.cat([towards, torch.ones_like(towards[:, :1])], 1)
+            variance = 1 + noise - towards_all @ inverse @ towards_all.T
+            mean = (towards_all @ weights)[0]
+            deviation = (variance[0] * (off.square() / variances).mean(0)).clamp(min=0).sqrt()
+            tried.append((float(off.square().mean(0).clamp(min=1e-24).log().sum()), Recalled(mean.to(values), deviation.to(values))))
     return min(tried, key=lambda one: one[0])[1]
 
 

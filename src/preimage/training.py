@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from preimage.batch_error import BatchError
 from preimage.blending import draw_blends
-from preimage.blurring import change
+from preimage.blurring import arrived
 from preimage.coding import to_pixels
 from preimage.devices import recorded_with_gradients
 from preimage.intention import IntentionState, IntentionTable
@@ -179,7 +179,8 @@ def start_from(model: PDVMRNN, sequences: Sequences) -> None:
     model.start_from_means(pixels.mean((0, 1)), codes.mean((0, 1)))
     model.home_pixels.copy_(pixels[:, 0].mean(0))
     model.home_joints.copy_(sequences.joints[:, 0].mean(0))
-    model.shown_changes.copy_(change(pixels[:, 0], pixels[:, -1]))
+    model.background.copy_(pixels[:, -1].median(0).values)
+    model.shown_arrivals.copy_(arrived(pixels[:, 0], pixels[:, -1], model.background))
     model.shown_ends.copy_(sequences.joints[:, -1])
     model.longest.fill_(sequences.frames.shape[1])
     spread_intentions(model.intention_table, codes.flatten(1))
