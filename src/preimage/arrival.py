@@ -19,7 +19,7 @@ from preimage.coding import JointCoding
 from preimage.prediction_error import ExpectedJoints
 
 NEAR = 1 / 3
-"""How far from its end a way is bent, as a share of the distance from its start to its end."""
+"""How far from its end a way is bent, as a share of the farthest that it is from there."""
 
 SURE = 0.05
 """Share of the error of staying at the start from which on the variance of what is imagined grows with its error."""
@@ -56,5 +56,5 @@ def bent_to(end: End, joints: Float[Tensor, "T J"], arrival_step: int, coding: J
     weight, wanted, lower, upper = (each.to(joints) for each in (end.weight, end.joints, coding.lower, coding.upper))
     here = joints[arrival_step]
     apart = (weight * ((joints - here) / (upper - lower)).square()).sum(-1)  # (T,)
-    nearness = torch.exp(-apart / (NEAR**2 * apart[0]).clamp(min=1e-12))
+    nearness = torch.exp(-apart / (NEAR**2 * apart[: arrival_step + 1].max()).clamp(min=1e-12))
     return (joints + nearness[:, None] * weight * (wanted - here)).clamp(lower, upper)
