@@ -27,6 +27,7 @@ ORDER = [
     "cells",
     "intention",
     "sizes",
+    "switches",
     "model",
     "sequences",
     "blending",

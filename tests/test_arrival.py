@@ -26,35 +26,35 @@ def end(move: tuple[float, float], weight: tuple[float, float]) -> End:
 
 
 def test_a_plan_arrives_between_what_is_imagined_and_expected() -> None:
-    bent = bent_to(end((0.08, -0.12), (0.75, 0.5)), way(), ARRIVAL, CODING)
+    bent = bent_to({ARRIVAL: end((0.08, -0.12), (0.75, 0.5))}, way(), CODING)
     for step in (ARRIVAL, ARRIVAL + 1):
         assert (bent[step] - way()[step]).numpy() == pytest.approx([0.06, -0.06], abs=1e-6)
 
 
 def test_far_from_the_goal_a_plan_stays_as_imagined_and_nearer_it_is_bent_more() -> None:
-    moved = (bent_to(end((0.08, -0.12), (1.0, 1.0)), way(), ARRIVAL, CODING) - way()).norm(dim=1).numpy()
+    moved = (bent_to({ARRIVAL: end((0.08, -0.12), (1.0, 1.0))}, way(), CODING) - way()).norm(dim=1).numpy()
     assert moved[0] < 1e-3 * moved[ARRIVAL]
     assert (np.diff(moved[: ARRIVAL + 1]) > 0).all()
 
 
 def test_a_joint_of_which_memory_tells_nothing_is_left_alone() -> None:
-    bent = bent_to(end((0.3, 0.1), (0.0, 1.0)), way(), ARRIVAL, CODING)
+    bent = bent_to({ARRIVAL: end((0.3, 0.1), (0.0, 1.0))}, way(), CODING)
     assert torch.equal(bent[:, 0], way()[:, 0])
 
 
 @pytest.mark.parametrize("move", [(0.3, 0.1), (0.0, 0.0)])
 def test_nothing_expected_bends_nothing(move: tuple[float, float]) -> None:
-    assert torch.equal(bent_to(end(move, (0.0, 0.0)), way(), ARRIVAL, CODING), way())
+    assert torch.equal(bent_to({ARRIVAL: end(move, (0.0, 0.0))}, way(), CODING), way())
 
 
 def test_joints_stay_within_their_ranges() -> None:
-    bent = bent_to(end((5.0, 5.0), (1.0, 1.0)), way(), ARRIVAL, CODING)
+    bent = bent_to({ARRIVAL: end((5.0, 5.0), (1.0, 1.0))}, way(), CODING)
     assert bent[ARRIVAL].tolist() == [1.0, 2.0]
 
 
 def test_a_plan_that_stays_where_it_is_arrives_as_well() -> None:
     staying = way()[:1].repeat(3, 1)
-    bent = bent_to(End(staying[0] + 0.1, torch.ones(2)), staying, 0, CODING)
+    bent = bent_to({0: End(staying[0] + 0.1, torch.ones(2))}, staying, CODING)
     assert (bent - staying).numpy() == pytest.approx(0.1, abs=1e-6)
 
 
@@ -65,3 +65,15 @@ def test_memory_weighs_by_how_sure_it_is_and_the_more_the_less_sure_a_plan_is() 
     assert unsure == pytest.approx([0.8, 0.5])
     nothing_told = replace(expected, deviation=torch.full((2,), torch.inf))
     assert End.expected(nothing_told, 0.0).weight.tolist() == [0.0, 0.0]
+
+
+def test_on_the_way_a_plan_passes_where_memory_tells_and_is_not_bent_before() -> None:
+    turn = 3
+    ends = {turn: End(way()[turn] + torch.tensor([0.1, -0.2]), torch.tensor([1.0, 0.5])), ARRIVAL: end((0.08, -0.12), (0.75, 0.5))}
+    moved = bent_to(ends, way(), CODING) - way()
+    assert moved[turn].numpy() == pytest.approx([0.1, -0.1], abs=1e-6)
+    assert moved[ARRIVAL].numpy() == pytest.approx([0.06, -0.06], abs=1e-6)
+    assert moved[0].norm() < 1e-3 * moved[turn].norm()
+    between = moved[turn : ARRIVAL + 1]
+    assert (between.diff(dim=0)[:, 0] <= 1e-9).all()  # from one bend to the next, and no further
+    assert (between.diff(dim=0)[:, 1] <= 1e-9).all() or (between.diff(dim=0)[:, 1] >= -1e-9).all()

@@ -104,7 +104,7 @@ def test_baselines_are_those_that_were_named(compared, demonstrations):
         by_hand = np.abs(nearest.joints[-1] - one.demonstration.joints[-1]).mean()
         assert one.baselines["nearest_demonstration"].joints_at_arrival == pytest.approx(by_hand)
         recalled = one.baselines["recalled_joints"]
-        assert recalled.joints_at_arrival == pytest.approx(np.abs(one.plan.recalled - one.demonstration.joints[-1]).mean())
+        assert recalled.joints_at_arrival == pytest.approx(np.abs(one.plan.recalled[-1] - one.demonstration.joints[-1]).mean())
         assert (recalled.frame_at_arrival, recalled.frames_on_the_way) == (None, None)
 
 

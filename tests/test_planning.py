@@ -103,7 +103,7 @@ def test_a_plan_ends_as_much_as_memory_weighs_nearer_to_what_it_expects(model: P
     rest = model.coding.decode(imagined.log_codes[0, found.arrival_step :].exp()).mean(0)
     wanted = rest + End.expected(expected, unexplained).weight * (expected.mean - rest)
     assert found.joints[-1] == pytest.approx(wanted.numpy(), abs=1e-4)
-    assert found.recalled == pytest.approx(expected.mean.numpy(), abs=1e-6)
+    assert found.recalled == pytest.approx(expected.mean[None].numpy(), abs=1e-6)
     assert plan(model, start=shown.first, goal=shown.last, config=replace(CONFIG, recalls=False, iterations=1)).recalled is None
 
 

@@ -4,9 +4,11 @@ The network was trained to regenerate what it was shown, and a goal between what
 arm that looks right in the picture, and joints that are off by a degree or two. Memory (`first_guess.expected_joints`) is off as well,
 but elsewhere, and it knows by how much. So the last joints are the mean of both, each weighed by its inverse variance, that of a plan in
 doubt the larger the larger its error. The way is bent to them where it is near the goal: further away, where the hand may have to touch
-something first, it stays as imagined. Where the goal is given as joints nothing has to be weighed: there the plan ends.
+something first, it stays as imagined, unless memory tells what it should be there: where the robot switches something (`switches`), it is
+bent in the same way. Where the goal is given as joints nothing has to be weighed: there the plan ends.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
@@ -48,13 +50,18 @@ class End:
         return cls(expected.mean, imagined / (imagined + expected.deviation.square()))
 
 
-def bent_to(end: End, joints: Float[Tensor, "T J"], arrival_step: int, coding: JointCoding) -> Float[Tensor, "T J"]:
-    """A way that arrives between its own end and another, in the joints' units, and stays within their ranges.
+def bent_to(ends: Mapping[int, End], joints: Float[Tensor, "T J"], coding: JointCoding) -> Float[Tensor, "T J"]:
+    """A way that passes, at some steps, between where it does and other joints, in the joints' units, and stays within their ranges.
 
-    Distances are measured in the joints' ranges, and a joint of which the other end tells nothing counts for nothing.
+    From each of the steps to the next it is bent as much as it is near the next. Distances are measured in the joints' ranges, and a
+    joint of which the other end tells nothing counts for nothing.
     """
-    weight, wanted, lower, upper = (each.to(joints) for each in (end.weight, end.joints, coding.lower, coding.upper))
-    here = joints[arrival_step]
-    apart = (weight * ((joints - here) / (upper - lower)).square()).sum(-1)  # (T,)
-    nearness = torch.exp(-apart / (NEAR**2 * apart[: arrival_step + 1].max()).clamp(min=1e-12))
-    return (joints + nearness[:, None] * weight * (wanted - here)).clamp(lower, upper)
+    lower, upper = coding.lower.to(joints), coding.upper.to(joints)
+    moved, begun, bend = torch.zeros_like(joints), 0, torch.zeros_like(joints[0])
+    for step, end in sorted(ends.items()):
+        weight, wanted, here = end.weight.to(joints), end.joints.to(joints), joints[step]
+        apart = (weight * ((joints[begun:] - here) / (upper - lower)).square()).sum(-1)
+        nearness = torch.exp(-apart / (NEAR**2 * apart[: step + 1 - begun].max()).clamp(min=1e-12))
+        moved[begun:] = bend + nearness[:, None] * (weight * (wanted - here) - bend)
+        begun, bend = step + 1, weight * (wanted - here)
+    return (joints + moved).clamp(lower, upper)

@@ -48,8 +48,12 @@ def arrived(
     apart, D being 2 C: seen coarsely, one would make up for the other.
     """
     changed = ((after - before).abs().amax(-3, keepdim=True) / CHANGED).clamp(max=1)
-    standing = changed * (after - background)
-    return blurred(torch.cat([standing.clamp(min=0), standing.clamp(max=0)], dim=-3), WIDE)
+    return apart(changed * (after - background))
+
+
+def apart(difference: Float[Tensor, "*batch C H W"]) -> Float[Tensor, "*batch D h w"]:
+    """What is brighter and what is darker, D = 2 C, coarsely seen."""
+    return blurred(torch.cat([difference.clamp(min=0), difference.clamp(max=0)], dim=-3), WIDE)
 
 
 def smoothing(size: int, deviation: float, device: torch.device) -> Float[Tensor, "kept size"]:

@@ -1,13 +1,14 @@
 """How often plans arrive: trials on goals that were never shown, counted with an interval, beside what luck would give.
 
 A success rate alone says little. Beside it stand the arm that does nothing, the arm that replays the demonstration whose last frame looks
-most like the goal, the arm that goes straight to the joints that memory expects there, and the same model with no goal, its intention at
+most like the goal, the arm that goes straight to the joints that memory expects on the way and there, and the same model with no goal, its intention at
 the prior mean.
 
 >>> [round(100 * bound) for bound in wilson_interval(84, 100)]
 [76, 90]
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
@@ -150,12 +151,28 @@ def baselines_of(
     nearest = nearest_shown(shown, demonstration.last)
     yield "nearest_demonstration", play(nearest.joints, nearest.rate_hz, arm, scene, task=task)
     if found.recalled is not None:
-        straight = np.linspace(demonstration.joints[0], found.recalled, num_steps)
+        switch = int(model.switching[0]) if len(found.recalled) > 1 else None
+        straight = straight_through(np.vstack([demonstration.joints[:1], found.recalled]), num_steps, switch=switch)
         yield "recalled_joints", play(straight, model.config.rate_hz, arm, scene, task=task)
     yield "prior_mean", execute(imagine_without_goal(model, demonstration.first, config=config), arm, scene, task=task)
     for name, policy_to in policies.items():
         policy = policy_to(Percept(demonstration.last.frame))
         yield name, execute_open_loop(policy, arm, scene, num_steps=num_steps - 1, rate_hz=model.config.rate_hz, task=task)
+
+
+def straight_through(points: Float[np.ndarray, "M J"], num_steps: int, *, switch: int | None) -> Float[np.ndarray, "T J"]:
+    """A way straight from each point to the next, all legs as long.
+
+    Args:
+        switch: the joint that stays as it was until a point is reached, and is given a step for it there.
+    """
+    legs = [points[:1]]
+    for here, there in itertools.pairwise(points):
+        reached = there.copy()
+        if switch is not None:
+            reached[switch] = here[switch]
+        legs += [np.linspace(here, reached, max(2, num_steps // (len(points) - 1)))[1:], there[None]]
+    return np.concatenate(legs)
 
 
 def goal_of(demonstration: Demonstration, config: PlanConfig) -> Percept:

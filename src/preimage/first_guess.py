@@ -15,11 +15,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.blurring import arrived
+from preimage.blurring import apart, arrived
 from preimage.coding import JointCoding
-from preimage.model import Generated, Sensed
+from preimage.model import PDVMRNN, Generated, Sensed
 from preimage.prediction_error import VISUAL_WEIGHT, ExpectedJoints, ToGoal, proprioceptive_error, visual_error
-from preimage.recall import recall
+from preimage.recall import Recalled, recall, recall_from
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +52,26 @@ SAME_VISUAL, SAME_PROPRIOCEPTIVE = 10.0, 0.1
 
 def expected_joints(library: Library, objective: ToGoal, coding: JointCoding) -> ExpectedJoints:
     """The joints with which sequences end that end like the goal: what a picture alone does not say, memory does."""
-    recalled = recall(*wanted_among(library, objective, coding), library.ends)
+    return expected(recall(*wanted_among(library, objective, coding), library.ends), library.ends, coding)
+
+
+def expected_at_switches(model: PDVMRNN, objective: ToGoal) -> list[ExpectedJoints]:
+    """The joints at which the robot switches something on the way, from what stands at the start, or has come to stand at the goal.
+
+    Which of them tells it, what is brighter there or what is darker, is found by how well it tells the demonstrations.
+    """
+    standing, come = apart(objective.start[0] - model.usual_start), arrived(objective.start[0], objective.goal[0], model.background)
+    parts = zip(standing.chunk(2), model.shown_starts.chunk(2, dim=1), strict=True)
+    views = [*parts, (standing, model.shown_starts), (come, model.shown_arrivals)]
+    flat = [(wanted.flatten(), shown.flatten(1)) for wanted, shown in views]
+    shown_joints = model.shown_switches[:, : int(model.switching[1])].unbind(1)
+    return [expected(recall_from(flat, joints), joints, model.coding) for joints in shown_joints]
+
+
+def expected(recalled: Recalled, shown: Float[Tensor, "N J"], coding: JointCoding) -> ExpectedJoints:
+    """What is recalled of joints, beside what a network that was shown these would be expected to be off."""
     told = recalled.deviation.maximum(FINEST * (coding.upper - coding.lower))
-    return ExpectedJoints(coding, recalled.mean, told, imagined=IMAGINED * library.ends.std(0, unbiased=False))
+    return ExpectedJoints(coding, recalled.mean, told, imagined=IMAGINED * shown.std(0, unbiased=False))
 
 
 IMAGINED = 0.15

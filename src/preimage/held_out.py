@@ -278,7 +278,7 @@ def way_of(plan: Plan) -> Way:
 
 def baselines_of(model: PDVMRNN, one: Demonstration, found: Plan, shown: Sequence[Shown], config: PlanConfig) -> dict[str, Way]:
     nearest = nearest_shown(shown, one.last)
-    recalled = {} if found.recalled is None else {"recalled_joints": Way(np.stack([one.joints[0], found.recalled]))}
+    recalled = {} if found.recalled is None else {"recalled_joints": Way(np.vstack([one.joints[:1], found.recalled]))}
     return {
         "nearest_demonstration": Way(nearest.joints, nearest.last_frame),
         **recalled,

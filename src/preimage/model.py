@@ -34,6 +34,7 @@ from preimage.coding import JointCoding
 from preimage.devices import Recorded
 from preimage.intention import FreeTable, IntentionState, IntentionTable, LatentTable, unflatten
 from preimage.sizes import ModelConfig, Sensors, check_sizes
+from preimage.switches import MOST
 
 Inputs = tuple[Float[Tensor, "B C H W"], Float[Tensor, "B J K"]]
 """What enters the lowest level at one step: pixels in [-1, 1] and joint codes."""
@@ -73,6 +74,14 @@ class PDVMRNN(nn.Module):
     """What has come to stand in the last frame of each demonstration, coarsely seen (`blurring.arrived`)."""
     shown_ends: Float[Tensor, "N J"]
     """Last joint angles of each demonstration (rad)."""
+    usual_start: Float[Tensor, "C H W"]
+    """Median of the first frames of the demonstrations."""
+    shown_starts: Float[Tensor, "N D h w"]
+    """What stands in the first frame of each demonstration, coarsely seen."""
+    shown_switches: Float[Tensor, "N K J"]
+    """Joint angles at the moments at which the robot switches something (`switches`), as many as may be, then those of the end (rad)."""
+    switching: Tensor
+    """Which joint switches, and how often; 0 times if none does."""
     longest: Tensor
     """Steps of the longest demonstration: how far ahead is imagined unless something else is asked for."""
     intention_table: IntentionTable
@@ -135,6 +144,10 @@ class PDVMRNN(nn.Module):
         nothing = arrived(self.home_pixels, self.home_pixels, self.background)
         self.register_buffer("shown_arrivals", torch.zeros(num_sequences, *nothing.shape))
         self.register_buffer("shown_ends", torch.zeros(num_sequences, sensors.num_joints))
+        self.register_buffer("usual_start", torch.zeros_like(self.home_pixels))
+        self.register_buffer("shown_starts", torch.zeros_like(self.shown_arrivals))
+        self.register_buffer("shown_switches", torch.zeros(num_sequences, MOST, sensors.num_joints))
+        self.register_buffer("switching", torch.zeros(2))
         self.register_buffer("longest", torch.tensor(0.0))
 
     @property

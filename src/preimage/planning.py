@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from preimage.arrival import End, bent_to
 from preimage.blurring import arrived
 from preimage.coding import to_frames, to_pixels
-from preimage.first_guess import Library, expected_joints, feel_alike, first_guesses
+from preimage.first_guess import Library, expected_at_switches, expected_joints, feel_alike, first_guesses
 from preimage.intention import IntentionState, unflatten
 from preimage.model import PDVMRNN, Generated, Inputs, Sensed
 from preimage.prediction_error import Modalities, ToGoal, ToSequence
@@ -25,6 +26,7 @@ from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Regression, RegressionConfig, regress_intention
 from preimage.sequences import at_rate
 from preimage.shifting import glances
+from preimage.switches import changes_side
 from preimage.wording import number_of
 
 
@@ -143,14 +145,16 @@ def plan(
         error, arrival = (each[0].item() for each in objective.errors(imagined))
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
     known = {"start": start, "goal": goal, "error": error} | searched
-    end = None
+    ends: list[End] = []
     if objective.expected:
-        known["recalled"] = objective.expected.mean.double().cpu().numpy()
-        end = End.expected(objective.expected, unexplained=error / max(to_explain, 1e-9))
+        begins_as_shown = library.ends is model.shown_ends
+        expected = [*(expected_at_switches(model, objective) if begins_as_shown else []), objective.expected]
+        known["recalled"] = torch.stack([each.mean for each in expected]).double().cpu().numpy()
+        ends = [End.expected(each, unexplained=error / max(to_explain, 1e-9)) for each in expected]
     elif config.modalities != "vision":
         assert goal.joints is not None
-        end = End.certain(goal.joints)
-    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, end=end, **known)
+        ends = [End.certain(goal.joints)]
+    return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, ends=ends, **known)
 
 
 def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequence[Percept], config: PlanConfig | None = None) -> list[Plan]:
@@ -202,20 +206,23 @@ def plan_of(
     arrival_step: int,
     *,
     rests: bool = False,
-    end: End | None = None,
+    ends: Sequence[End] = (),
     **known: Any,
 ) -> Plan:
     """What was imagined, as the record that leaves this room: the frames of the first sequence, the mean joints of all.
 
     Args:
         rests: whether the robot stays where it arrives: at the mean of the joints from then on, without the sway of single steps.
-        end: what else is known of the joints at the goal; the way there is bent to agree with it.
+        ends: what else is known of the joints where the robot switches something and, last, at the goal; the way there is bent to agree.
+            One that switches more often or less is bent at the goal alone.
     """
     joints = model.coding.decode(imagined.log_codes.exp()).double().mean(0)
     if rests:
         joints[arrival_step:] = joints[arrival_step:].mean(0)
-    if end:
-        joints = bent_to(end, joints, arrival_step, model.coding)
+    if ends:
+        steps = switch_steps(model, joints[: arrival_step + 1])
+        there = {arrival_step: ends[-1]}
+        joints = bent_to(dict(zip(steps, ends, strict=False)) | there if len(steps) == len(ends) - 1 else there, joints, model.coding)
     return Plan(
         frames=to_frames(imagined.pixels[0]).cpu().numpy(),
         joints=joints.cpu().numpy(),
@@ -225,6 +232,13 @@ def plan_of(
         intention=intention.flatten()[0].double().cpu().numpy(),
         **known,
     )
+
+
+def switch_steps(model: PDVMRNN, joints: Float[Tensor, "T J"]) -> list[int]:
+    """The steps at which what the demonstrations switch is switched."""
+    joint, count = model.switching.int().tolist()
+    middle = ((model.coding.lower + model.coding.upper) / 2).to(joints)
+    return changes_side(joints[None], middle)[0, :, joint].nonzero()[:, 0].tolist() if count else []
 
 
 def imagine_without_goal(model: PDVMRNN, start: Percept, *, config: PlanConfig | None = None) -> Plan:

@@ -11,6 +11,7 @@ how well it is told so says how far to trust what is recalled (leave one out; Ra
 (25, True)
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -21,6 +22,9 @@ SCALES = (1.0, 3.0, 10.0, 30.0)
 """Squared lengths of the kernel that are tried, in median squared distances of the endings."""
 NOISES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 """Variances of the noise that are tried, beside the kernel's 1."""
+
+View = tuple[Float[Tensor, " F"], Float[Tensor, "N F"]]
+"""What is looked at: the wanted features, and those of the endings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,31 +38,44 @@ class Recalled:
 
 def recall(wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], values: Float[Tensor, "N V"]) -> Recalled:
     """The values that go with the wanted features, blended from those of N endings; of a single one nothing can be told but itself."""
-    count = len(features)
+    return recall_from([(wanted, features)], values)
+
+
+def recall_from(views: Sequence[View], values: Float[Tensor, "N V"]) -> Recalled:
+    """The same from that of several views, each the wanted features and those of the endings, which tells the endings best."""
+    count = len(values)
     if count == 1:
         return Recalled(values[0], torch.full_like(values[0], torch.inf))
-    points, targets = features.double(), torch.cat([values, values.new_zeros(1, values.shape[1])]).double()
-    distances = torch.cdist(points, points).square()
-    asked = torch.cdist(wanted[None].double(), points).square()
-    distances, asked, targets = (each.cpu() for each in (distances, asked, targets))  # matrices too small for a GPU
+    targets = torch.cat([values, values.new_zeros(1, values.shape[1])]).double().cpu()
+    tried = [told for wanted, features in views for told in blends(wanted, features, targets)]
+    mean, deviation, _ = min(tried, key=lambda told: told[2])
+    return Recalled(mean.to(values), deviation.to(values))
+
+
+def blends(
+    wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], targets: Float[Tensor, "N+1 V"]
+) -> Iterator[tuple[Float[Tensor, " V"], Float[Tensor, " V"], float]]:
+    """What each scale and noise makes of a view: mean, deviation, and how badly endings are told (sum of logarithms)."""
+    points, asked = (each.double().cpu() for each in (features, wanted[None]))  # the matrices are too small for a GPU
+    distances, ways = torch.cdist(points, points).square(), torch.cdist(asked, points)[0].square()
     unit = distances[distances > 0].median() if bool((distances > 0).any()) else distances.new_ones(())
-    tried: list[tuple[float, Recalled]] = []
-    for scale in SCALES:
-        kernel, towards = (1 / (1 + each / (scale * unit)) for each in (distances, asked))
-        for noise in NOISES:
-            inverse = torch.linalg.inv(bordered(kernel + noise * torch.eye(count).to(kernel)))
+    lengths, noises = unit * torch.tensor(SCALES).double(), torch.tensor(NOISES).double()
+    alike = bordered(1 / (1 + distances / lengths[:, None, None]))  # (scales, N+1, N+1)
+    own = torch.cat([torch.ones(len(points)), torch.zeros(1)]).double().diag()
+    inverses = torch.linalg.inv(alike[:, None] + noises[:, None, None] * own)  # (scales, noises, N+1, N+1)
+    for towards, of_length in zip(1 / (1 + ways / lengths[:, None]), inverses, strict=True):
+        towards = torch.cat([towards, torch.ones(1).double()])
+        for noise, inverse in zip(NOISES, of_length, strict=True):
             weights = inverse @ targets  # of the endings, and the mean
-            variances = 1 / inverse.diagonal()[:count, None]  # of each ending, the others known
-            off = variances * weights[:count]
-            towards_all = torch.cat([towards, torch.ones_like(towards[:, :1])], 1)
-            variance = 1 + noise - towards_all @ inverse @ towards_all.T
-            mean = (towards_all @ weights)[0]
-            deviation = (variance[0] * (off.square() / variances).mean(0)).clamp(min=0).sqrt()
-            tried.append((float(off.square().mean(0).clamp(min=1e-24).log().sum()), Recalled(mean.to(values), deviation.to(values))))
-    return min(tried, key=lambda one: one[0])[1]
+            variances = 1 / inverse.diagonal()[:-1, None]  # of each ending, the others known
+            off = variances * weights[:-1]
+            variance = 1 + noise - towards @ inverse @ towards
+            deviation = (variance * (off.square() / variances).mean(0)).clamp(min=0).sqrt()
+            yield towards @ weights, deviation, float(off.square().mean(0).clamp(min=1e-12).log().sum())
 
 
-def bordered(kernel: Float[Tensor, "N N"]) -> Float[Tensor, "M M"]:
-    """The kernel with a row and a column of ones: what the weights have to sum to zero for, so that the mean is free."""
-    border = kernel.new_ones(len(kernel), 1)
-    return torch.cat([torch.cat([kernel, border], 1), torch.cat([border.T, kernel.new_zeros(1, 1)], 1)])
+def bordered(kernels: Float[Tensor, "*batch N N"]) -> Float[Tensor, "*batch M M"]:
+    """Kernels with a row and a column of ones: what the weights have to sum to zero for, so that the mean is free."""
+    ones = torch.ones_like(kernels[..., :1])
+    corner = torch.zeros_like(ones[..., :1, :])
+    return torch.cat([torch.cat([kernels, ones], -1), torch.cat([ones.mT, corner], -1)], -2)

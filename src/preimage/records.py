@@ -179,8 +179,8 @@ class Plan:
     """Wall time from the request to the plan."""
     intention: Float[np.ndarray, " D"]
     """What the sequence is generated from: `IntentionState.flatten` of it, for one-step prediction under the same intention."""
-    recalled: Float[np.ndarray, " J"] | None = None
-    """The joints that memory alone expects at the goal, where it was asked."""
+    recalled: Float[np.ndarray, "M J"] | None = None
+    """The joints that memory alone expects where something is switched and, last, at the goal, where it was asked."""
 
     def __len__(self) -> int:
         return len(self.frames)

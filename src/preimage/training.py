@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from preimage.batch_error import BatchError
 from preimage.blending import draw_blends
-from preimage.blurring import arrived
+from preimage.blurring import apart, arrived
 from preimage.coding import to_pixels
 from preimage.devices import recorded_with_gradients
 from preimage.intention import IntentionState, IntentionTable
@@ -35,6 +35,7 @@ from preimage.records import Demonstration
 from preimage.runs import write_config, write_shown, write_weights
 from preimage.sequences import Sequences, pad, sensors_of
 from preimage.sizes import ModelConfig
+from preimage.switches import find_switches
 from preimage.whole_file import whole_file, write_json
 
 
@@ -182,6 +183,13 @@ def start_from(model: PDVMRNN, sequences: Sequences) -> None:
     model.background.copy_(pixels[:, -1].median(0).values)
     model.shown_arrivals.copy_(arrived(pixels[:, 0], pixels[:, -1], model.background))
     model.shown_ends.copy_(sequences.joints[:, -1])
+    model.usual_start.copy_(pixels[:, 0].median(0).values)
+    model.shown_starts.copy_(apart(pixels[:, 0] - model.usual_start))
+    model.shown_switches.copy_(model.shown_ends[:, None])
+    if found := find_switches(sequences.joints):
+        count = found.steps.shape[1]
+        model.shown_switches[:, :count] = sequences.joints[torch.arange(len(sequences))[:, None], found.steps]
+        model.switching.copy_(torch.tensor([found.joint, count]))
     model.longest.fill_(sequences.frames.shape[1])
     spread_intentions(model.intention_table, codes.flatten(1))
 
