@@ -1,7 +1,7 @@
 """How often plans arrive: trials on goals that were never shown, counted with an interval, beside what luck would give.
 
 A success rate alone says little. Beside it stand the arm that does nothing, the arm that replays the demonstration whose last frame looks
-most like the goal, the arm that goes straight to the joints that memory expects on the way and there, and the same model with no goal, its intention at
+most like the goal, the arm that goes straight through the joints that memory expects, and the same model with no goal, its intention at
 the prior mean.
 
 >>> [round(100 * bound) for bound in wilson_interval(84, 100)]

@@ -27,7 +27,7 @@ SUCCESS_MEANS = {
 _REQUIRED = ("task", "goals", "success", "interval", "deviation_cm", "rows", "baselines")
 _BASELINES: dict[str, str] = {
     "nearest_demonstration": "nearest demonstration: replay the one whose last frame is most like the goal",
-    "recalled_joints": "memory alone: straight to the joints that are expected at the goal, nothing imagined",
+    "recalled_joints": "memory alone: straight through the joints expected where a gripper switches and at the goal, nothing imagined",
     "prior_mean": "no goal: the same model, its intention at the prior mean",
     "do_nothing": "do nothing: the arm stays where it starts",
 }

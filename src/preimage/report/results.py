@@ -71,8 +71,9 @@ HEAD = """# Results
 Written by `preimage report` from the JSON files in `results/`; nothing here is typed by hand. Every count is k/n of test goals that
 neither training nor tuning saw, with the Wilson 95 % interval. The baselines stand beside: *nearest demonstration* replays the
 demonstration whose last frame is most like the goal, *behaviour cloning* maps what is sensed and the goal frame to the next joints,
-*recalled joints* goes straight to where the model's memory, without its network, expects the arm at the goal, *prior mean* is the same
-model with no goal, *do nothing* leaves the arm where it starts. Sizes are those of `preimage train`."""
+*recalled joints* goes straight to where the model's memory, without its network, expects the arm at the goal, by way of where it expects
+the gripper to close and open, *prior mean* is the same model with no goal, *do nothing* leaves the arm where it starts. Sizes are those
+of `preimage train`."""
 
 
 def reach_table(evaluations: Results) -> str:
