@@ -35,6 +35,7 @@ ORDER = [
     "limits",
     "prediction_error",
     "batch_error",
+    "beginning",
     "hub",
     "runs",
     "processes",

@@ -42,9 +42,9 @@ NETWORKS: dict[str, dict[str, Any]] = {
     "move-object": LITTLE_ROOM | {"intention_cost": 0.2, "keypoints": 8},
     "two-circles": LITTLE_ROOM | {"intention_cost": 0.05, "keypoints": 8},
 }
-"""The networks of the tasks with such scenes, where not as the size says. What sees an object to move tells more to the motors."""
+"""The networks of the tasks with such scenes, where not as the size says. Where things lie that have to be gripped is told as places."""
 FEWER_UNITS: dict[str, dict[str, Any]] = {"move-object": {"motor_units": (384, 256, 16)}}
-"""Of a small network that sees more, so that it stays as small."""
+"""Of a small network, as it was compared (docs/log.md)."""
 FINER: dict[str, Any] = {"vision_channels": (8, 16, 32, 32), "motor_units": (384, 256, 64, 16), "seen_channels": 4, "keypoints": 8}
 """Of a small network for frames twice as large: a level below the others, so that its upper ones see as far as they do in small frames."""
 LEARNING: dict[str, dict[str, Any]] = {

@@ -46,6 +46,11 @@ def feel_alike(one: Float[Tensor, "J K"], other: Float[Tensor, "J K"]) -> bool:
     return bool(proprioceptive_error(one.clamp(min=1e-12).log(), other) < SAME_PROPRIOCEPTIVE)
 
 
+def begins_as_shown(model: PDVMRNN, start: Sensed) -> bool:
+    """Whether a start feels like those of the demonstrations, so that what they keep of pictures can be compared."""
+    return feel_alike(model.coding.encode(model.home_joints), start[1])
+
+
 SAME_VISUAL, SAME_PROPRIOCEPTIVE = 10.0, 0.1
 """Percepts nearer than this to each other, in the errors of `prediction_error`, are alike enough to share a library."""
 

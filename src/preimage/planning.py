@@ -18,7 +18,7 @@ from torch import Tensor
 from preimage.arrival import End, bent_to
 from preimage.blurring import arrived
 from preimage.coding import to_frames, to_pixels
-from preimage.first_guess import Library, expected_at_switches, expected_joints, feel_alike, first_guesses
+from preimage.first_guess import Library, begins_as_shown, expected_at_switches, expected_joints, first_guesses
 from preimage.intention import IntentionState, unflatten
 from preimage.model import PDVMRNN, Generated, Inputs, Sensed
 from preimage.prediction_error import Modalities, ToGoal, ToSequence
@@ -89,7 +89,7 @@ def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: Pla
     with torch.no_grad():
         table = model.intention_table.intentions()
         imagined = imagine(model, table, inputs, num_steps=horizon_of(model, config), precision=config.precision)
-    if feel_alike(model.coding.encode(model.home_joints), inputs[1]):
+    if begins_as_shown(model, inputs):
         return Library(inputs, imagined, model.background, model.shown_arrivals, model.shown_ends)
     ends = model.coding.decode(imagined.log_codes[:, -1].exp())
     return Library(inputs, imagined, model.background, arrived(inputs[0], imagined.pixels[:, -1], model.background), ends)
@@ -147,8 +147,8 @@ def plan(
     known = {"start": start, "goal": goal, "error": error} | searched
     ends: list[End] = []
     if objective.expected:
-        begins_as_shown = library.ends is model.shown_ends
-        expected = [*(expected_at_switches(model, objective) if begins_as_shown else []), objective.expected]
+        at_switches = expected_at_switches(model, objective) if begins_as_shown(model, objective.start) else []
+        expected = [*at_switches, objective.expected]
         known["recalled"] = torch.stack([each.mean for each in expected]).double().cpu().numpy()
         ends = [End.expected(each, unexplained=error / max(to_explain, 1e-9)) for each in expected]
     elif config.modalities != "vision":
@@ -220,9 +220,10 @@ def plan_of(
     if rests:
         joints[arrival_step:] = joints[arrival_step:].mean(0)
     if ends:
+        *at_switches, at_goal = ends
         steps = switch_steps(model, joints[: arrival_step + 1])
-        there = {arrival_step: ends[-1]}
-        joints = bent_to(dict(zip(steps, ends, strict=False)) | there if len(steps) == len(ends) - 1 else there, joints, model.coding)
+        on_the_way = dict(zip(steps, at_switches, strict=True)) if len(steps) == len(at_switches) else {}
+        joints = bent_to(on_the_way | {arrival_step: at_goal}, joints, model.coding)
     return Plan(
         frames=to_frames(imagined.pixels[0]).cpu().numpy(),
         joints=joints.cpu().numpy(),

@@ -47,25 +47,24 @@ def recall_from(views: Sequence[View], values: Float[Tensor, "N V"]) -> Recalled
     if count == 1:
         return Recalled(values[0], torch.full_like(values[0], torch.inf))
     targets = torch.cat([values, values.new_zeros(1, values.shape[1])]).double().cpu()
-    tried = [told for wanted, features in views for told in blends(wanted, features, targets)]
+    tried = [told for wanted, features in views for told in krige(wanted, features, targets)]
     mean, deviation, _ = min(tried, key=lambda told: told[2])
     return Recalled(mean.to(values), deviation.to(values))
 
 
-def blends(
+def krige(
     wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], targets: Float[Tensor, "N+1 V"]
 ) -> Iterator[tuple[Float[Tensor, " V"], Float[Tensor, " V"], float]]:
     """What each scale and noise makes of a view: mean, deviation, and how badly endings are told (sum of logarithms)."""
     points, asked = (each.double().cpu() for each in (features, wanted[None]))  # the matrices are too small for a GPU
     distances, ways = torch.cdist(points, points).square(), torch.cdist(asked, points)[0].square()
     unit = distances[distances > 0].median() if bool((distances > 0).any()) else distances.new_ones(())
-    lengths, noises = unit * torch.tensor(SCALES).double(), torch.tensor(NOISES).double()
-    alike = bordered(1 / (1 + distances / lengths[:, None, None]))  # (scales, N+1, N+1)
     own = torch.cat([torch.ones(len(points)), torch.zeros(1)]).double().diag()
-    inverses = torch.linalg.inv(alike[:, None] + noises[:, None, None] * own)  # (scales, noises, N+1, N+1)
-    for towards, of_length in zip(1 / (1 + ways / lengths[:, None]), inverses, strict=True):
-        towards = torch.cat([towards, torch.ones(1).double()])
-        for noise, inverse in zip(NOISES, of_length, strict=True):
+    for length in (scale * unit for scale in SCALES):
+        alike = bordered(1 / (1 + distances / length))
+        towards = torch.cat([1 / (1 + ways / length), torch.ones(1).double()])
+        for noise in NOISES:
+            inverse = torch.linalg.inv(alike + noise * own)
             weights = inverse @ targets  # of the endings, and the mean
             variances = 1 / inverse.diagonal()[:-1, None]  # of each ending, the others known
             off = variances * weights[:-1]
@@ -74,8 +73,7 @@ def blends(
             yield towards @ weights, deviation, float(off.square().mean(0).clamp(min=1e-12).log().sum())
 
 
-def bordered(kernels: Float[Tensor, "*batch N N"]) -> Float[Tensor, "*batch M M"]:
-    """Kernels with a row and a column of ones: what the weights have to sum to zero for, so that the mean is free."""
-    ones = torch.ones_like(kernels[..., :1])
-    corner = torch.zeros_like(ones[..., :1, :])
-    return torch.cat([torch.cat([kernels, ones], -1), torch.cat([ones.mT, corner], -1)], -2)
+def bordered(kernel: Float[Tensor, "N N"]) -> Float[Tensor, "M M"]:
+    """The kernel with a row and a column of ones: what the weights have to sum to zero for, so that the mean is free."""
+    border = kernel.new_ones(len(kernel), 1)
+    return torch.cat([torch.cat([kernel, border], 1), torch.cat([border.T, kernel.new_zeros(1, 1)], 1)])

@@ -21,11 +21,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from preimage.batch_error import BatchError
+from preimage.beginning import start_from
 from preimage.blending import draw_blends
-from preimage.blurring import apart, arrived
-from preimage.coding import to_pixels
 from preimage.devices import recorded_with_gradients
-from preimage.intention import IntentionState, IntentionTable
+from preimage.intention import IntentionState
 from preimage.interrupts import saved_on_interrupt
 from preimage.memory import keep_freed_memory
 from preimage.model import PDVMRNN
@@ -35,7 +34,6 @@ from preimage.records import Demonstration
 from preimage.runs import write_config, write_shown, write_weights
 from preimage.sequences import Sequences, pad, sensors_of
 from preimage.sizes import ModelConfig
-from preimage.switches import find_switches
 from preimage.whole_file import whole_file, write_json
 
 
@@ -172,40 +170,6 @@ def train(
     if stop:
         raise KeyboardInterrupt
     return model.requires_grad_(False).eval()
-
-
-def start_from(model: PDVMRNN, sequences: Sequences) -> None:
-    """Start the outputs at the mean percept of the demonstrations; remember their mean first percept as home, and how each ends."""
-    pixels, codes = to_pixels(sequences.frames), model.coding.encode(sequences.joints)
-    model.start_from_means(pixels.mean((0, 1)), codes.mean((0, 1)))
-    model.home_pixels.copy_(pixels[:, 0].mean(0))
-    model.home_joints.copy_(sequences.joints[:, 0].mean(0))
-    model.background.copy_(pixels[:, -1].median(0).values)
-    model.shown_arrivals.copy_(arrived(pixels[:, 0], pixels[:, -1], model.background))
-    model.shown_ends.copy_(sequences.joints[:, -1])
-    model.usual_start.copy_(pixels[:, 0].median(0).values)
-    model.shown_starts.copy_(apart(pixels[:, 0] - model.usual_start))
-    model.shown_switches.copy_(model.shown_ends[:, None])
-    if found := find_switches(sequences.joints):
-        count = found.steps.shape[1]
-        model.shown_switches[:, :count] = sequences.joints[torch.arange(len(sequences))[:, None], found.steps]
-        model.switching.copy_(torch.tensor([found.joint, count]))
-    model.longest.fill_(sequences.frames.shape[1])
-    spread_intentions(model.intention_table, codes.flatten(1))
-
-
-def spread_intentions(table: IntentionTable, features: Float[Tensor, "N F"], components: int = 16) -> None:
-    """Start the intentions where alike sequences are neighbours: at their principal components.
-
-    The paper starts them at random. From there, learning first has to find out what an intention could be good for; from here it
-    can begin with the demonstrations themselves.
-    """
-    centred = features - features.mean(0)
-    directions, sizes, _ = torch.linalg.svd(centred, full_matrices=False)
-    components = min(components, len(features))
-    weights = (sizes / sizes[0].clamp(min=1e-9)).clamp(min=0.15)[:components]  # small components count, or no two would differ
-    scores = len(features) ** 0.5 * directions[:, :components] * weights
-    table.start_from(scores, torch.Generator().manual_seed(components))
 
 
 def optimiser_of(model: PDVMRNN, config: TrainConfig) -> torch.optim.Optimizer:
