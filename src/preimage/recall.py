@@ -23,7 +23,7 @@ SCALES = (1.0, 3.0, 10.0, 30.0)
 NOISES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 """Variances of the noise that are tried, beside the kernel's 1."""
 
-View = tuple[Float[Tensor, " F"], Float[Tensor, "N F"]]
+View = tuple[Float[Tensor, " _"], Float[Tensor, "N _"]]
 """What is looked at: the wanted features, and those of the endings."""
 
 
