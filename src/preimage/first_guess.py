@@ -76,7 +76,7 @@ def expected_at_switches(model: PDVMRNN, objective: ToGoal) -> list[ExpectedJoin
 def expected(recalled: Recalled, shown: Float[Tensor, "N J"], coding: JointCoding) -> ExpectedJoints:
     """What is recalled of joints, beside what a network that was shown these would be expected to be off.
 
-    A joint that was always in the same place, as an open gripper, tells one goal from another no more than one that memory knows nothing of.
+    A joint that was always in one place, as an open gripper, tells goals apart no better than one of which memory knows nothing.
     """
     spread, finest = shown.std(0, unbiased=False), FINEST * (coding.upper - coding.lower)
     told = torch.where(spread < finest, torch.inf, recalled.deviation.maximum(finest))
