@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from preimage.evaluation import Evaluated, count, goal_of, nearest_shown, result_of, wilson_interval
+from preimage.evaluation import Evaluated, count, goal_of, nearest_shown, result_of, straight_through, wilson_interval
 from preimage.planning import PlanConfig
 from preimage.records import Plan, Shown, Stopped, Trial
 
@@ -116,3 +116,14 @@ def test_grasps_are_counted_strictly_and_within_pixels(demonstrations):
     assert counted["success"] == 1
     assert [counted["within_pixels"][pixels]["success"] for pixels in "123"] == [1, 2, 2]
     assert (counted["grasped"]["success"], counted["placed_once_grasped"]["success"]) == (1, 1)
+
+
+def test_memory_alone_goes_straight_and_switches_where_it_has_arrived() -> None:
+    points = np.array([[0.0, 1.0], [2.0, 0.0], [3.0, 0.0]])
+    way = straight_through(points, 8, switch=1)
+    assert way[[0, -1]].tolist() == points[[0, -1]].tolist()
+    switched = int(np.argmax(way[:, 1] < 1))
+    assert way[switched - 1].tolist() == [2.0, 1.0]  # there, and not yet switched
+    assert way[switched].tolist() == [2.0, 0.0]
+    assert np.diff(way[:switched, 0]) == pytest.approx(way[1, 0] - way[0, 0])
+    assert straight_through(points[:2], 5, switch=None)[1, 1] == pytest.approx(0.75)

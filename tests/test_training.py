@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from preimage.batch_error import BatchError
 from preimage.records import Demonstration
 from preimage.runs import load_model
+from preimage.sequences import pad
 from preimage.sizes import ModelConfig
 from preimage.training import NonFinite, Progress, TrainConfig, begin_steps, train
 
@@ -117,3 +119,16 @@ def test_bfloat16_trains_near_float32() -> None:
         train(demonstrations(), ModelConfig.tiny(), config=replace(CONFIG, precision=precision), progress=told.append)
         errors.append(told[0].visual)
     assert errors[1] == pytest.approx(errors[0], rel=0.02)
+
+
+def test_noise_on_the_first_frame_changes_what_is_imagined_and_learned() -> None:
+    model = train(demonstrations(), ModelConfig.tiny(), config=replace(CONFIG, updates=1))
+    sequences = pad(demonstrations(), rate_hz=model.config.rate_hz)
+    intention, drawn = model.intention_table.prior_mean(4).flatten(), torch.Generator().manual_seed(0)
+    error = BatchError(model, share=0.0, dtype=torch.float32, blends=False)
+    given = sequences.frames, sequences.joints, sequences.mask
+    noise, plain = 0.3 * torch.randn(4, 1, 16, 16, generator=drawn), torch.zeros(4, dtype=torch.bool)
+    with_noise, without = (error(intention, *given, each, plain)[0] for each in (noise, 0 * noise))
+    assert not torch.equal(with_noise, without)
+    noisy, plainly = (train(demonstrations(), ModelConfig.tiny(), config=replace(CONFIG, start_noise=each)) for each in (0.3, 0.0))
+    assert not torch.equal(weights(noisy), weights(plainly))
