@@ -311,3 +311,15 @@ def test_recognition_regenerates_a_new_sequence(model: PDVMRNN) -> None:
 def test_percepts_that_do_not_fit_are_named(model: PDVMRNN, start: Percept | None, goal: Percept | None, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         plan(model, start=start, goal=goal or bar(0.5).last, config=CONFIG)
+
+
+def test_a_goal_is_not_reached_before_its_earliest_step(model: PDVMRNN) -> None:
+    goal = replace(objective(model), rests=False)
+    (pixels, codes), (goal_pixels, goal_codes) = goal.start, goal.goal
+    passing = Generated(
+        torch.stack([pixels, goal_pixels, pixels, pixels])[None], torch.stack([codes, goal_codes, codes, codes]).log()[None]
+    )
+    assert goal.errors(passing)[1].item() == 1
+    error, arrival = replace(goal, earliest=2).errors(passing)
+    assert arrival.item() == 2
+    assert error.item() > 10 * goal.errors(passing)[0].item()

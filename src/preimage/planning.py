@@ -142,6 +142,8 @@ def plan(
     found = min(tried, key=lambda one: float(one.error.min()))
     with torch.no_grad():
         imagined = imagine_at_a_glance(model, found.best, objective.start, config)
+        if len(steps := switch_steps(model, model.coding.decode(imagined.log_codes.exp()).mean(0))) == int(model.switching[1]):
+            objective = replace(objective, earliest=max(steps, default=0))  # what was gripped has to be let go first
         error, arrival = (each[0].item() for each in objective.errors(imagined))
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
     known = {"start": start, "goal": goal, "error": error} | searched

@@ -138,6 +138,8 @@ class ToGoal:
     """Whether the goal is to be stayed in. In passing, a hand above the table can look like one on it."""
     expected: ExpectedJoints | None = None
     """What more the joints are charged for at the goal, where its picture alone is known."""
+    earliest: int = 0
+    """The first step at which the goal may be reached."""
 
     def start_error(self, generated: Generated) -> Float[Tensor, " B"]:
         """The start's part: the first predicted percept against the one observed, both modalities."""
@@ -166,7 +168,7 @@ class ToGoal:
     def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
         """The prediction error and the arrival step. The delay penalty picks the step; it does not enter the error."""
         at_every_step = self.goal_error(generated)
-        arrival = arrival_step(at_every_step, delay_penalty=self.delay_penalty)
+        arrival = self.earliest + arrival_step(at_every_step[:, self.earliest :], delay_penalty=self.delay_penalty)
         return self.start_error(generated) + at_every_step.gather(1, arrival[:, None])[:, 0], arrival
 
     def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
