@@ -316,9 +316,8 @@ def test_percepts_that_do_not_fit_are_named(model: PDVMRNN, start: Percept | Non
 def test_a_goal_is_not_reached_before_its_earliest_step(model: PDVMRNN) -> None:
     goal = replace(objective(model), rests=False)
     (pixels, codes), (goal_pixels, goal_codes) = goal.start, goal.goal
-    passing = Generated(
-        torch.stack([pixels, goal_pixels, pixels, pixels])[None], torch.stack([codes, goal_codes, codes, codes]).log()[None]
-    )
+    seen, felt = (pixels, goal_pixels, pixels, pixels), (codes, goal_codes, codes, codes)
+    passing = Generated(torch.stack(seen)[None], torch.stack(felt).log()[None])
     assert goal.errors(passing)[1].item() == 1
     error, arrival = replace(goal, earliest=2).errors(passing)
     assert arrival.item() == 2
