@@ -17,7 +17,7 @@ from preimage.training import TrainConfig, train
 
 
 def gripping(far: float) -> Demonstration:
-    """A bar that is gripped a third of the way and let go at two thirds: nine steps, then three of rest."""
+    """A bar that is gripped a third of the way and let go at two thirds of its nine steps."""
     shown = bar(far, 9)
     steps = np.arange(9)
     gripper = np.where((steps >= 3) & (steps < 6), 0.0, 0.04)

@@ -18,6 +18,10 @@ from torch import Tensor
 
 BLUR = 0.125
 """The usual deviation of the Gaussian, in heights of a frame: 8 pixels of 64, about as wide as the arm."""
+WIDE = 0.15
+"""The same where pictures are compared to tell where something stands."""
+CHANGED = 0.1
+"""A pixel that changed by as much, in half ranges, counts in full."""
 
 
 def blurred(pictures: Float[Tensor, "*batch C H W"], blur: float) -> Float[Tensor, "*batch C h w"]:
@@ -31,12 +35,6 @@ def blurred(pictures: Float[Tensor, "*batch C H W"], blur: float) -> Float[Tenso
     deviation = blur * height
     rows, columns = (smoothing(size, deviation, pictures.device).to(pictures) for size in (height, width))
     return rows @ pictures @ columns.T
-
-
-WIDE = 0.15
-"""The same where pictures are compared to tell where something stands."""
-CHANGED = 0.1
-"""A pixel that changed by as much, in half ranges, counts in full."""
 
 
 def arrived(
