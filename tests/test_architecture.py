@@ -47,6 +47,7 @@ ORDER = [
     "first_guess",
     "arrival",
     "planning",
+    "one_step",
     "plans",
     "sources",
     "execution",

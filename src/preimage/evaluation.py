@@ -18,7 +18,8 @@ from jaxtyping import Float
 
 from preimage.execution import execute, execute_open_loop, play
 from preimage.model import PDVMRNN
-from preimage.planning import PlanConfig, follow, horizon_of, imagine_library, imagine_without_goal, plan
+from preimage.one_step import follow
+from preimage.planning import PlanConfig, horizon_of, imagine_library, imagine_without_goal, plan
 from preimage.processes import Crew
 from preimage.records import Demonstration, Percept, Plan, Shown, Trial
 from preimage.robot import Arm, Task, record, succeeds_within
@@ -125,7 +126,7 @@ def carry_out(model: PDVMRNN, found: Plan, arm: Arm, task: Task, demonstration: 
     assert demonstration.scene is not None
     if loop == "closed":
         return execute(found, arm, demonstration.scene, task=task)
-    policy = follow(model, found, glance=config.glance)
+    policy = follow(model, found, config=config)
     if loop == "recorded":
         recorded = at_rate(demonstration, found.rate_hz)
         joints = np.stack([recorded.joints[0], *(policy(recorded[step]) for step in range(len(recorded) - 1))])

@@ -6,7 +6,7 @@ intention that is recalled for the goal (`first_guess`; `regression` goes on fro
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,8 +19,8 @@ from preimage.arrival import End, bent_to
 from preimage.blurring import arrived
 from preimage.coding import to_frames, to_pixels
 from preimage.first_guess import Library, begins_as_shown, expected_at_switches, expected_joints, first_guesses
-from preimage.intention import IntentionState, unflatten
-from preimage.model import PDVMRNN, Generated, Inputs, Sensed
+from preimage.intention import IntentionState
+from preimage.model import PDVMRNN, Generated, Sensed
 from preimage.prediction_error import Modalities, ToGoal, ToSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
 from preimage.regression import Regression, RegressionConfig, regress_intention
@@ -142,7 +142,7 @@ def plan(
     found = min(tried, key=lambda one: float(one.error.min()))
     with torch.no_grad():
         imagined = imagine_at_a_glance(model, found.best, objective.start, config)
-        if len(steps := switch_steps(model, model.coding.decode(imagined.log_codes.exp()).mean(0))) == int(model.switching[1]):
+        if len(steps := switch_steps(model, mean_joints(model, imagined))) == int(model.switching[1]):
             objective = replace(objective, earliest=max(steps, default=0))  # what was gripped has to be let go first
         error, arrival = (each[0].item() for each in objective.errors(imagined))
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
@@ -181,7 +181,7 @@ def join(legs: Sequence[Plan]) -> Plan:
     """Plans that begin where the one before arrives, as one plan to the last goal, which is executed like any other.
 
     Its error is the sum of theirs, its reason to have stopped that of the leg with the largest error, its intention theirs one after the
-    other: `follow` takes them one by one.
+    other: `one_step.follow` takes them one by one.
     """
     last, worst = legs[-1], max(legs, key=lambda leg: leg.error)
     ways = [(leg.frames[: leg.arrival_step + 1], leg.joints[: leg.arrival_step + 1]) for leg in legs[:-1]] + [(last.frames, last.joints)]
@@ -218,7 +218,7 @@ def plan_of(
         ends: what else is known of the joints where the robot switches something and, last, at the goal; the way there is bent to agree.
             One that switches more often or less is bent at the goal alone.
     """
-    joints = model.coding.decode(imagined.log_codes.exp()).double().mean(0)
+    joints = mean_joints(model, imagined)
     if rests:
         joints[arrival_step:] = joints[arrival_step:].mean(0)
     if ends:
@@ -235,6 +235,11 @@ def plan_of(
         intention=intention.flatten()[0].double().cpu().numpy(),
         **known,
     )
+
+
+def mean_joints(model: PDVMRNN, imagined: Generated) -> Float[Tensor, "T J"]:
+    """The joints of each step, the mean of all sequences that were imagined."""
+    return model.coding.decode(imagined.log_codes.exp()).double().mean(0)
 
 
 def switch_steps(model: PDVMRNN, joints: Float[Tensor, "T J"]) -> list[int]:
@@ -256,32 +261,6 @@ def imagine_without_goal(model: PDVMRNN, start: Percept, *, config: PlanConfig |
     error = ToGoal(inputs, inputs).start_error(imagined)[0]
     searched = {"errors": np.zeros(0), "stopped": Stopped.ITERATIONS, "seconds": time.perf_counter() - began}
     return plan_of(model, imagined, intention, num_steps - 1, start=start, goal=Percept(), error=float(error), **searched)
-
-
-def follow(model: PDVMRNN, plan: Plan, *, glance: float = PlanConfig.glance) -> Callable[[Percept], Float[np.ndarray, " J"]]:
-    """A policy that predicts one step ahead from what is sensed, step by step, under the intention of a plan (open loop).
-
-    The paper calls it one-step prediction (section III-C): closed loop finds the intention, then the robot's own camera and joints go in
-    and the next joints come out. Each frame is looked at as the start is (`PlanConfig.glance`).
-    """
-    forward = model.at(model.pixel_bias.dtype)
-    num_looks = len(glances(model.home_pixels, glance))
-    same = torch.from_numpy(plan.intention).to(model.home_joints).expand(num_looks, -1)
-    states = [model.initial_states(unflatten(same, model.intention_table.shapes))]
-
-    def predict(percept: Percept) -> Inputs:
-        pixels, codes = as_inputs(model, percept, name="percept")
-        with torch.no_grad():
-            predicted, states[0] = forward((glances(pixels, glance), codes.expand(num_looks, *codes.shape)), states[0])
-        return predicted
-
-    predict(plan.start)  # output t is the prediction of percept t, so the first predicts the start itself
-
-    def next_joints(percept: Percept) -> Float[np.ndarray, " J"]:
-        _, log_codes = predict(percept)
-        return model.coding.decode(log_codes.exp()).double().mean(0).cpu().numpy()
-
-    return next_joints
 
 
 def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfig | None = None) -> Recognition:

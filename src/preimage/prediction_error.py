@@ -173,20 +173,26 @@ class ToGoal:
 
     def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
         """The same error at given arrival steps, as residuals."""
-        num_steps = generated.pixels.shape[1]
-        steps = torch.arange(num_steps, device=aims.device)
-        counts = steps >= aims[:, None] if self.rests else steps == aims[:, None]
-        shares = (counts / counts.sum(1, keepdim=True)).sqrt().to(generated.pixels.dtype)  # (B, T)
+        at_goal, shares = self.counted(generated, aims)
         parts: list[Tensor] = []
         if self.modalities != "joints":
-            parts.append(visual_residuals(generated.pixels, self.goal[0]) * shares[..., None, None, None])
+            parts.append(visual_residuals(at_goal.pixels, self.goal[0]) * shares[..., None, None, None])
         if self.modalities != "vision":
-            parts.append(proprioceptive_residuals(generated.log_codes, self.goal[1]) * shares[..., None, None])
+            parts.append(proprioceptive_residuals(at_goal.log_codes, self.goal[1]) * shares[..., None, None])
         if self.expected:
-            parts.append(self.expected.residuals(generated).to(shares.dtype) * shares[..., None])
+            parts.append(self.expected.residuals(at_goal).to(shares.dtype) * shares[..., None])
         parts.append(visual_residuals(generated.pixels[:, 0], self.start[0]))
         parts.append(proprioceptive_residuals(generated.log_codes[:, 0], self.start[1]))
         return torch.cat([part.flatten(1) for part in parts], dim=1)
+
+    def counted(self, generated: Generated, aims: Int[Tensor, " B"]) -> tuple[Generated, Float[Tensor, "B T"]]:
+        """The steps that count for the goal, and the root of each step's share: the arrival step alone where the goal is passed through."""
+        rows, steps = torch.arange(len(aims), device=aims.device), torch.arange(generated.pixels.shape[1], device=aims.device)
+        if not self.rests:
+            passed = Generated(generated.pixels[rows, aims][:, None], generated.log_codes[rows, aims][:, None])
+            return passed, passed.pixels.new_ones(len(aims), 1)
+        later = steps >= aims[:, None]
+        return generated, (later / later.sum(1, keepdim=True)).sqrt().to(generated.pixels.dtype)
 
     def steps_until(self, aims: Int[Tensor, " B"]) -> int | None:
         """Up to the latest arrival, where nothing after it counts."""
