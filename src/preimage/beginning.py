@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.blurring import apart, arrived
+from preimage.blurring import BLUR, apart, arrived, blurred
 from preimage.coding import to_pixels
 from preimage.intention import IntentionTable
 from preimage.model import PDVMRNN
@@ -23,17 +23,19 @@ def start_from(model: PDVMRNN, sequences: Sequences) -> None:
 
 
 def keep_pictures(model: PDVMRNN, first: Float[Tensor, "N C H W"], last: Float[Tensor, "N C H W"]) -> None:
-    """Keep what is usually seen, and what stood in each first frame and came to stand in each last."""
+    """Keep what is usually seen, what stood in each first frame and came to stand in each last, and the last frames."""
     model.home_pixels.copy_(first.mean(0))
     model.usual_start.copy_(first.median(0).values)
     model.background.copy_(last.median(0).values)
     model.shown_starts.copy_(apart(first - model.usual_start))
     model.shown_arrivals.copy_(arrived(first, last, model.background))
+    model.shown_lasts.copy_(blurred(last, BLUR))
 
 
 def keep_joints(model: PDVMRNN, joints: Float[Tensor, "N T J"]) -> None:
     """Keep where the joints stood as each began, switched something and ended."""
     model.home_joints.copy_(joints[:, 0].mean(0))
+    model.shown_firsts.copy_(joints[:, 0])
     model.shown_ends.copy_(joints[:, -1])
     model.shown_switches.copy_(joints[:, -1:])
     if found := find_switches(joints):

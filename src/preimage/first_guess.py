@@ -15,11 +15,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.blurring import apart, arrived
+from preimage.blurring import BLUR, apart, arrived, blurred
 from preimage.coding import JointCoding
 from preimage.model import PDVMRNN, Generated, Sensed
 from preimage.prediction_error import VISUAL_WEIGHT, ExpectedJoints, ToGoal, proprioceptive_error, visual_error
-from preimage.recall import Recalled, recall, recall_from
+from preimage.recall import Recalled, View, in_own_units, recall_from
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +32,10 @@ class Library:
     """What is seen where nothing came to stand."""
     arrivals: Float[Tensor, "N D h w"]
     """What has come to stand in the picture at the end of each sequence, coarsely seen."""
+    lasts: Float[Tensor, "N C h w"]
+    """The picture at the end of each, coarsely seen."""
+    firsts: Float[Tensor, "N J"]
+    """The joints in which each begins (rad)."""
     ends: Float[Tensor, "N J"]
     """The joints in which each ends (rad)."""
 
@@ -47,8 +51,15 @@ def feel_alike(one: Float[Tensor, "J K"], other: Float[Tensor, "J K"]) -> bool:
 
 
 def begins_as_shown(model: PDVMRNN, start: Sensed) -> bool:
-    """Whether a start feels like those of the demonstrations, so that what they keep of pictures can be compared."""
-    return feel_alike(model.coding.encode(model.home_joints), start[1])
+    """Whether a start feels like those of the demonstrations, so that what they keep of pictures can be compared.
+
+    It is as near to the nearest of them as nine in ten of them are to their nearest.
+    """
+    shown = model.coding.encode(model.shown_firsts)
+    log_shown = shown.clamp(min=1e-12).log()
+    distances = torch.stack([proprioceptive_error(log_shown, codes) for codes in (*shown, start[1])]).sort(1).values
+    usual = distances[:-1, 1:2].quantile(0.9).item() if len(shown) > 1 else 0.0  # of each, the nearest but itself
+    return distances[-1, 0].item() < max(usual, SAME_PROPRIOCEPTIVE)
 
 
 SAME_VISUAL, SAME_PROPRIOCEPTIVE = 10.0, 0.1
@@ -57,7 +68,7 @@ SAME_VISUAL, SAME_PROPRIOCEPTIVE = 10.0, 0.1
 
 def expected_joints(library: Library, objective: ToGoal, coding: JointCoding) -> ExpectedJoints:
     """The joints with which sequences end that end like the goal: what a picture alone does not say, memory does."""
-    return expected(recall(*wanted_among(library, objective, coding), library.ends), library.ends, coding)
+    return expected(recall_from(views_of(library, objective, coding), library.ends), library.ends, coding)
 
 
 def expected_at_switches(model: PDVMRNN, objective: ToGoal) -> list[ExpectedJoints]:
@@ -99,15 +110,34 @@ def first_guesses(
     at_end = at_every_step[:, -1].argsort().tolist()
     in_turn = [row for pair in zip(at_any, at_end, strict=True) for row in pair]
     nearest = list(dict.fromkeys(in_turn))
-    recalled = recall(*wanted_among(library, objective, coding), coordinates).mean
+    recalled = recall_from(views_of(library, objective, coding), coordinates).mean
     return torch.cat([recalled[None], coordinates[nearest]])[:count]
 
 
-def wanted_among(library: Library, objective: ToGoal, coding: JointCoding) -> tuple[Float[Tensor, " F"], Float[Tensor, "N F"]]:
-    """How the goal looks and feels, and how the endings do, coarsely seen and felt."""
+def views_of(library: Library, objective: ToGoal, coding: JointCoding) -> list[View]:
+    """How the goal looks and feels among the endings, coarsely.
+
+    Where the sequences begin in different joints, as a robot does that a person brought there, these tell something as well, and the
+    picture as a whole tells more than what changed in it: one begins with another thing in view than the other. That is a second view.
+    """
     wanted = arrived(objective.start[0], objective.goal[0], library.background)
     seen = VISUAL_WEIGHT**0.5 * torch.cat([wanted[None], library.arrivals]).flatten(1)
     felt = torch.cat([objective.goal[1][None], coding.encode(library.ends)]).flatten(1)
     parts = {"vision": [seen], "joints": [felt], "both": [seen, felt]}[objective.modalities]
-    features = torch.cat(parts, 1)
-    return features[0], features[1:]
+    views = [torch.cat(parts, 1)]
+    if objective.modalities == "vision" and begin_differently(library, coding):
+        pictures = torch.cat([blurred(objective.goal[0], BLUR)[None], library.lasts]).flatten(1)
+        spread = library.firsts.std(0, unbiased=False).maximum(FINEST * (coding.upper - coding.lower))
+        begun = torch.cat([coding.decode(objective.start[1])[None], library.firsts]) / spread
+        views.append(torch.cat([in_own_units(pictures), BEGUN * in_own_units(begun)], 1))
+    return [(rows[0], rows[1:]) for rows in views]
+
+
+def begin_differently(library: Library, coding: JointCoding) -> bool:
+    """Whether some sequences feel otherwise at their beginning than most."""
+    usual = coding.encode(library.firsts.median(0).values)
+    return bool((proprioceptive_error(coding.encode(library.firsts).clamp(min=1e-12).log(), usual) >= SAME_PROPRIOCEPTIVE).any())
+
+
+BEGUN = 0.5
+"""What a difference of first joints counts beside one of last pictures, each in its usual size."""

@@ -28,7 +28,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from preimage.blurring import arrived
+from preimage.blurring import BLUR, arrived, blurred
 from preimage.cells import LSTM, ConvLSTM, Down, Lateral, Linear, State, Up
 from preimage.coding import JointCoding
 from preimage.devices import Recorded
@@ -72,6 +72,10 @@ class PDVMRNN(nn.Module):
     """Median of the last frames of the demonstrations: what is seen where nothing came to stand."""
     shown_arrivals: Float[Tensor, "N D h w"]
     """What has come to stand in the last frame of each demonstration, coarsely seen (`blurring.arrived`)."""
+    shown_lasts: Float[Tensor, "N C h w"]
+    """The last frame of each demonstration, coarsely seen."""
+    shown_firsts: Float[Tensor, "N J"]
+    """First joint angles of each demonstration (rad)."""
     shown_ends: Float[Tensor, "N J"]
     """Last joint angles of each demonstration (rad)."""
     usual_start: Float[Tensor, "C H W"]
@@ -143,6 +147,8 @@ class PDVMRNN(nn.Module):
         self.register_buffer("background", torch.zeros_like(self.home_pixels))
         nothing = arrived(self.home_pixels, self.home_pixels, self.background)
         self.register_buffer("shown_arrivals", torch.zeros(num_sequences, *nothing.shape))
+        self.register_buffer("shown_lasts", torch.zeros(num_sequences, *blurred(self.home_pixels, BLUR).shape))
+        self.register_buffer("shown_firsts", torch.zeros(num_sequences, sensors.num_joints))
         self.register_buffer("shown_ends", torch.zeros(num_sequences, sensors.num_joints))
         self.register_buffer("usual_start", torch.zeros_like(self.home_pixels))
         self.register_buffer("shown_starts", torch.zeros_like(self.shown_arrivals))

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from preimage.arrival import End, bent_to
-from preimage.blurring import arrived
+from preimage.blurring import BLUR, arrived, blurred
 from preimage.coding import to_frames, to_pixels
 from preimage.first_guess import Library, begins_as_shown, expected_at_switches, expected_joints, first_guesses
 from preimage.intention import IntentionState
@@ -90,9 +90,12 @@ def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: Pla
         table = model.intention_table.intentions()
         imagined = imagine(model, table, inputs, num_steps=horizon_of(model, config), precision=config.precision)
     if begins_as_shown(model, inputs):
-        return Library(inputs, imagined, model.background, model.shown_arrivals, model.shown_ends)
-    ends = model.coding.decode(imagined.log_codes[:, -1].exp())
-    return Library(inputs, imagined, model.background, arrived(inputs[0], imagined.pixels[:, -1], model.background), ends)
+        shown = model.shown_arrivals, model.shown_lasts, model.shown_firsts, model.shown_ends
+        return Library(inputs, imagined, model.background, *shown)
+    lasts, ends = imagined.pixels[:, -1], model.coding.decode(imagined.log_codes[:, -1].exp())
+    begun = model.coding.decode(inputs[1]).repeat(len(ends), 1)  # not expanded, of which torch 2.13 takes a wrong median
+    arrivals = arrived(inputs[0], lasts, model.background)
+    return Library(inputs, imagined, model.background, arrivals, blurred(lasts, BLUR), begun, ends)
 
 
 def plan(

@@ -73,6 +73,12 @@ def krige(
             yield towards @ weights, deviation, float(off.square().mean(0).clamp(min=1e-12).log().sum())
 
 
+def in_own_units(rows: Float[Tensor, "M F"]) -> Float[Tensor, "M F"]:
+    """Rows, the first of which is wanted among the others, in the usual distance between those."""
+    distances = torch.cdist(rows[1:], rows[1:])
+    return rows / distances[distances > 0].median() if bool((distances > 0).any()) else rows
+
+
 def bordered(kernel: Float[Tensor, "N N"]) -> Float[Tensor, "M M"]:
     """The kernel with a row and a column of ones: what the weights have to sum to zero for, so that the mean is free."""
     border = kernel.new_ones(len(kernel), 1)
