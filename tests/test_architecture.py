@@ -48,6 +48,7 @@ ORDER = [
     "arrival",
     "planning",
     "one_step",
+    "legs",
     "plans",
     "sources",
     "execution",

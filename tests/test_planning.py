@@ -12,6 +12,7 @@ from preimage.arrival import End
 from preimage.coding import to_frames
 from preimage.first_guess import expected_joints
 from preimage.intention import unflatten
+from preimage.legs import join, plan_in_turn
 from preimage.model import PDVMRNN, Generated, InputSequence
 from preimage.planning import (
     PlanConfig,
@@ -19,9 +20,7 @@ from preimage.planning import (
     imagine,
     imagine_library,
     imagine_without_goal,
-    join,
     plan,
-    plan_in_turn,
     recognise,
 )
 from preimage.prediction_error import WIDER, ExpectedJoints, ToGoal, ToSequence

@@ -8,9 +8,10 @@ from preimage.dataset import load, save
 from preimage.evaluation import Evaluated, evaluate, result_of, wilson_interval
 from preimage.execution import execute, execute_open_loop
 from preimage.intention import IntentionState
+from preimage.legs import join, plan_in_turn
 from preimage.model import PDVMRNN
 from preimage.one_step import follow
-from preimage.planning import PlanConfig, imagine_library, join, plan, plan_in_turn, recognise
+from preimage.planning import PlanConfig, imagine_library, plan, recognise
 from preimage.plans import load_plan, save_episode, save_plan
 from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
 from preimage.regression import regress_intention

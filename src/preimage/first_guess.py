@@ -9,7 +9,9 @@ Where the plan begins with other joints than the demonstrations did, other thing
 from there stands in.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -24,10 +26,13 @@ from preimage.recall import Recalled, View, in_own_units, recall_from
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """What the model imagines for each of its training intentions from one start: first guesses are looked up in it."""
+    """What is known of the demonstrations, to begin a search from one start: how they end, and what the model imagines for each of them."""
 
     start: Sensed
-    imagined: Generated
+    num_steps: int
+    """How far ahead it looks."""
+    imagine: Callable[[], Generated]
+    """Imagines all of it, which takes as long as a search or longer: asked when it is needed, and once."""
     background: Float[Tensor, "C H W"]
     """What is seen where nothing came to stand."""
     arrivals: Float[Tensor, "N D h w"]
@@ -42,7 +47,17 @@ class Library:
     def serves(self, start: Sensed, num_steps: int) -> bool:
         """Whether a plan may begin at this start as well: it looks as far ahead, and nothing that can be seen or felt stands elsewhere."""
         alike = bool(visual_error(self.start[0], start[0]) < SAME_VISUAL) and feel_alike(self.start[1], start[1])
-        return alike and self.imagined.pixels.shape[1] == num_steps
+        return alike and self.num_steps == num_steps
+
+    @cached_property
+    def imagined(self) -> Generated:
+        """What the model imagines for each of its training intentions."""
+        return self.imagine()
+
+    @property
+    def at_hand(self) -> Generated | None:
+        """The same, if it has been needed before."""
+        return vars(self).get("imagined")
 
 
 def feel_alike(one: Float[Tensor, "J K"], other: Float[Tensor, "J K"]) -> bool:
@@ -104,14 +119,16 @@ def first_guesses(
     library: Library, objective: ToGoal, coding: JointCoding, coordinates: Float[Tensor, "N K"], *, count: int
 ) -> Float[Tensor, "candidates K"]:
     """The intention that is recalled for the goal; then training intentions, in turn the one nearest to it at any step and when it ends."""
+    recalled = recall_from(views_of(library, objective, coding), coordinates).mean[None]
+    if count == 1:
+        return recalled
     at_every_step = objective.goal_error(library.imagined)
     steps = torch.arange(at_every_step.shape[1], device=at_every_step.device)
     at_any = (at_every_step * objective.delay_penalty**steps).min(1).values.argsort().tolist()
     at_end = at_every_step[:, -1].argsort().tolist()
     in_turn = [row for pair in zip(at_any, at_end, strict=True) for row in pair]
     nearest = list(dict.fromkeys(in_turn))
-    recalled = recall_from(views_of(library, objective, coding), coordinates).mean
-    return torch.cat([recalled[None], coordinates[nearest]])[:count]
+    return torch.cat([recalled, coordinates[nearest]])[:count]
 
 
 def views_of(library: Library, objective: ToGoal, coding: JointCoding) -> list[View]:

@@ -5,6 +5,7 @@ When the goal is reached is open, so each iteration looks for the step that show
 intention that is recalled for the goal (`first_guess`; `regression` goes on from there).
 """
 
+import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -40,6 +41,8 @@ class PlanConfig(RegressionConfig):
     """First guesses, the recalled one before all; as many as `candidates` are regressed, the others if the plan is in doubt then."""
     doubt: float = 0.05
     """A plan is in doubt while its error is above this share of the error of staying at the start, expected joints included."""
+    enough: float = 0.01
+    """Share of the error of staying at the start that is small enough: what is left are pixels, which memory tells no less."""
     horizon: int | None = None
     """Steps imagined, T_max; by default as many as the longest demonstration has."""
     delay_penalty: float = 1.01
@@ -80,22 +83,35 @@ def imagine_at_a_glance(model: PDVMRNN, intention: IntentionState, start: Sensed
 
 
 def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: PlanConfig | None = None) -> Library:
-    """What the model imagines for each of its training intentions, from a start percept or from home, and how they end.
-
-    The endings are those of the demonstrations, as shown, where the start feels like theirs, and as imagined elsewhere.
-    """
+    """What the model imagines for each of its training intentions, from a start percept or from home, and how they end."""
     config = config or PlanConfig()
-    inputs = as_inputs(model, start or home(model), name="start")
-    with torch.no_grad():
+    library = library_at(model, as_inputs(model, start or home(model), name="start"), config)
+    assert library.imagined
+    return library
+
+
+def library_at(model: PDVMRNN, inputs: Sensed, config: PlanConfig) -> Library:
+    """The same, imagined when it is needed: the endings are those of the demonstrations, as shown, where the start feels like theirs.
+
+    Elsewhere they are as imagined.
+    """
+
+    @torch.no_grad()
+    def from_here() -> Generated:
         table = model.intention_table.intentions()
-        imagined = imagine(model, table, inputs, num_steps=horizon_of(model, config), precision=config.precision)
+        return imagine(model, table, inputs, num_steps=horizon_of(model, config), precision=config.precision)
+
+    common = inputs, horizon_of(model, config)
     if begins_as_shown(model, inputs):
         shown = model.shown_arrivals, model.shown_lasts, model.shown_firsts, model.shown_ends
-        return Library(inputs, imagined, model.background, *shown)
+        return Library(*common, from_here, model.background, *shown)
+    imagined = from_here()
     lasts, ends = imagined.pixels[:, -1], model.coding.decode(imagined.log_codes[:, -1].exp())
     begun = model.coding.decode(inputs[1]).repeat(len(ends), 1)  # not expanded, of which torch 2.13 takes a wrong median
     arrivals = arrived(inputs[0], lasts, model.background)
-    return Library(inputs, imagined, model.background, arrivals, blurred(lasts, BLUR), begun, ends)
+    library = Library(*common, lambda: imagined, model.background, arrivals, blurred(lasts, BLUR), begun, ends)
+    assert library.imagined
+    return library
 
 
 def plan(
@@ -127,7 +143,7 @@ def plan(
     wanted = goal_inputs(model, goal, config.modalities)
     objective = ToGoal(as_inputs(model, start, name="start"), wanted, config.modalities, config.delay_penalty, config.rests)
     if library is None or not library.serves(objective.start, horizon_of(model, config)):
-        library = imagine_library(model, start, config=config)
+        library = library_at(model, objective.start, config)
     if config.recalls and config.modalities == "vision":
         objective = replace(objective, expected=expected_joints(library, objective, model.coding))
     to_explain = objective.start_to_goal
@@ -136,12 +152,15 @@ def plan(
         return imagine(model, intention, objective.start, num_steps=num_steps or horizon_of(model, config), precision=config.precision)
 
     space = model.intention_table.space(config.dimensions)
-    guesses = first_guesses(library, objective, model.coding, space.training, count=max(config.guesses, config.candidates))
     tried: list[Regression] = []
-    for some in filter(len, (guesses[: config.candidates], guesses[config.candidates :])):
-        tried.append(regress_intention(space, some, from_start, objective, config=config, library=library.imagined))
-        if tried[-1].error.min() < config.doubt * to_explain:
+    for begun, count in itertools.pairwise((0, config.candidates, max(config.guesses, config.candidates))):
+        if tried and tried[-1].error.min() < config.doubt * to_explain:
             break
+        guesses = first_guesses(library, objective, model.coding, space.training, count=count)[begun:]
+        if not len(guesses):
+            break
+        search = {"config": config, "library": library.at_hand, "enough": config.enough * to_explain}
+        tried.append(regress_intention(space, guesses, from_start, objective, **search))
     found = min(tried, key=lambda one: float(one.error.min()))
     with torch.no_grad():
         imagined = imagine_at_a_glance(model, found.best, objective.start, config)
@@ -160,48 +179,6 @@ def plan(
         assert goal.joints is not None
         ends = [End.certain(goal.joints)]
     return plan_of(model, imagined, found.best, int(arrival), rests=config.rests, ends=ends, **known)
-
-
-def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequence[Percept], config: PlanConfig | None = None) -> list[Plan]:
-    """Plans from each goal to the next: the first from the start, every other from the percept with which the one before arrives.
-
-    Nothing is sensed in between: where a plan is wrong, the next one begins wrong.
-
-    Raises:
-        ValueError: there is no goal, or a percept does not fit, as in `plan`.
-    """
-    if not goals:
-        raise ValueError("there is no goal: give one or more")
-    legs: list[Plan] = []
-    for goal in goals:
-        legs.append(plan(model, start=start, goal=goal, config=config))
-        arrival = legs[-1].arrival_step
-        start = Percept(legs[-1].frames[arrival], legs[-1].joints[arrival])
-    return legs
-
-
-def join(legs: Sequence[Plan]) -> Plan:
-    """Plans that begin where the one before arrives, as one plan to the last goal, which is executed like any other.
-
-    Its error is the sum of theirs, its reason to have stopped that of the leg with the largest error, its intention theirs one after the
-    other: `one_step.follow` takes them one by one.
-    """
-    last, worst = legs[-1], max(legs, key=lambda leg: leg.error)
-    ways = [(leg.frames[: leg.arrival_step + 1], leg.joints[: leg.arrival_step + 1]) for leg in legs[:-1]] + [(last.frames, last.joints)]
-    frames, joints = zip(*ways, strict=True)
-    later = slice(1, None)  # the first step of a leg is the arrival of the one before
-    return replace(
-        last,
-        frames=np.concatenate([frames[0], *(each[later] for each in frames[1:])]),
-        joints=np.concatenate([joints[0], *(each[later] for each in joints[1:])]),
-        arrival_step=sum(leg.arrival_step for leg in legs),
-        start=legs[0].start,
-        error=sum(leg.error for leg in legs),
-        errors=np.concatenate([leg.errors for leg in legs]),
-        stopped=worst.stopped,
-        seconds=sum(leg.seconds for leg in legs),
-        intention=np.concatenate([leg.intention for leg in legs]),
-    )
 
 
 def plan_of(

@@ -155,6 +155,7 @@ class Stopped(enum.Enum):
     """Why a regression of the intention ended, and what to try if the plan is poor."""
 
     ITERATIONS = "all iterations used; more iterations may lower the error further"
+    ENOUGH = "the error is small enough; what is left are pixels"
     CONVERGED = "the error no longer falls; more candidates, not more iterations, could find a better plan"
 
 

@@ -92,22 +92,28 @@ def regress_intention(
     *,
     config: RegressionConfig,
     library: Generated | None = None,
+    enough: float = 0.0,
 ) -> Regression:
     """Lower the error from each of B places in the intention space. The weights are not touched.
 
     A library, what is imagined from each of the space's training intentions, tells the first slopes, where there are more of them than
-    coordinates; else these are measured. Only a leap needs them.
+    coordinates; else these are measured. Only a leap needs them. An error of `enough` is not lowered further.
 
     The error that is returned is that of the intention that is returned, the best seen: the last value of a loop belongs to the step
     before.
     """
     if config.method == "leap":
-        return leap(space, coordinates, imagine, objective, config, library)
-    return descend(space, coordinates, imagine, objective, config)
+        return leap(space, coordinates, imagine, objective, config, library, enough)
+    return descend(space, coordinates, imagine, objective, config, enough)
 
 
 def descend(
-    space: IntentionSpace, coordinates: Float[Tensor, "B K"], imagine: Imagine, objective: Objective, config: RegressionConfig
+    space: IntentionSpace,
+    coordinates: Float[Tensor, "B K"],
+    imagine: Imagine,
+    objective: Objective,
+    config: RegressionConfig,
+    enough: float,
 ) -> Regression:
     """Gradient descent through the imagined sequence (Adam)."""
     point = coordinates.clone().requires_grad_()
@@ -123,6 +129,9 @@ def descend(
         best = torch.where(found, error.detach(), best)
         best_point[found] = point.detach()[found]
         lowest.append(best.min())
+        if lowest[-1] <= enough:
+            stopped = Stopped.ENOUGH
+            break
         if len(lowest) > 10 and lowest[-1] > 0.998 * lowest[-11]:
             stopped = Stopped.CONVERGED
             break
@@ -166,6 +175,7 @@ def leap(
     objective: Objective,
     config: RegressionConfig,
     library: Generated | None,
+    enough: float,
 ) -> Regression:
     """Gauss-Newton on the residuals."""
 
@@ -176,11 +186,14 @@ def leap(
 
     here = visit(coordinates)
     slopes, stale = None, True
-    if library and len(space.training) > coordinates.shape[1]:
-        slopes = slopes_among(here, space.training, library, objective)
     lowest = [here.error.min()]
     stopped = Stopped.ITERATIONS
     for _ in range(config.most_iterations):
+        if lowest[-1] <= enough:
+            stopped = Stopped.ENOUGH
+            break
+        if slopes is None and library and len(space.training) > coordinates.shape[1]:
+            slopes = slopes_among(here, space.training, library, objective)
         fresh = stale
         if slopes is None or stale:
             slopes = slopes_at(here, slopes, space, imagine, objective, config.probe)

@@ -12,9 +12,10 @@ from preimage import demo as demonstration_of_it_all
 from preimage.cli.screen import bar
 from preimage.devices import Device, place_of
 from preimage.execution import execute
+from preimage.legs import join, plan_in_turn
 from preimage.limits import commands_of, limits_seen, read_limits
 from preimage.options import refuse_out_of_range
-from preimage.planning import PlanConfig, join, plan_in_turn
+from preimage.planning import PlanConfig
 from preimage.plans import load_plan, save_episode, save_plan
 from preimage.records import Percept, Plan
 from preimage.report import figure, film
