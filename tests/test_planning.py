@@ -20,6 +20,7 @@ from preimage.planning import (
     imagine,
     imagine_library,
     imagine_without_goal,
+    library_at,
     plan,
     recognise,
 )
@@ -30,7 +31,7 @@ from preimage.shifting import glances
 from preimage.sizes import ModelConfig
 from preimage.training import TrainConfig, train
 
-CONFIG = PlanConfig(precision="float32", glance=0.0)
+CONFIG = PlanConfig(precision="float32", glance=0.0, enough=0.0)
 DESCEND = replace(CONFIG, method="descend")
 
 
@@ -236,6 +237,26 @@ def test_a_plan_in_doubt_tries_the_other_first_guesses(model: PDVMRNN, monkeypat
     shown = bar(0.7)
     plan(model, start=shown.first, goal=shown.last, config=replace(CONFIG, doubt=doubt, candidates=2, guesses=6, iterations=2))
     assert tried == searches
+
+
+@pytest.mark.parametrize("config", [CONFIG, DESCEND], ids=["leap", "descend"])
+def test_a_search_ends_where_the_error_is_small_enough(model: PDVMRNN, config: PlanConfig) -> None:
+    shown = bar(0.8)
+    whole = plan(model, start=shown.first, goal=shown.last, config=replace(config, recalls=False, candidates=3))
+    lowest, first = whole.errors.min(), whole.errors[0]
+    share = float(0.5 * (lowest + first)) / objective_to(model, shown).start_to_goal
+    found = plan(model, start=shown.first, goal=shown.last, config=replace(config, recalls=False, candidates=3, enough=share))
+    assert found.stopped is Stopped.ENOUGH
+    assert found.errors[-1] <= 0.5 * (lowest + first) < found.errors[-2]
+    assert len(found.errors) < len(whole.errors)
+
+
+@pytest.mark.parametrize(("doubt", "imagined"), [(0.0, True), (1e9, False)])
+def test_training_sequences_are_imagined_only_for_a_plan_in_doubt(model: PDVMRNN, doubt: float, imagined: bool) -> None:
+    shown = bar(0.7)
+    library = library_at(model, as_inputs(model, shown.first, name="start"), CONFIG)
+    plan(model, start=shown.first, goal=shown.last, config=replace(CONFIG, doubt=doubt, iterations=1), library=library)
+    assert (library.at_hand is not None) == imagined
 
 
 def test_what_there_is_to_explain_is_the_error_of_staying(model: PDVMRNN) -> None:
