@@ -242,13 +242,22 @@ def test_a_plan_in_doubt_tries_the_other_first_guesses(model: PDVMRNN, monkeypat
 @pytest.mark.parametrize("config", [CONFIG, DESCEND], ids=["leap", "descend"])
 def test_a_search_ends_where_the_error_is_small_enough(model: PDVMRNN, config: PlanConfig) -> None:
     shown = bar(0.8)
-    whole = plan(model, start=shown.first, goal=shown.last, config=replace(config, recalls=False, candidates=3))
-    lowest, first = whole.errors.min(), whole.errors[0]
-    share = float(0.5 * (lowest + first)) / objective_to(model, shown).start_to_goal
-    found = plan(model, start=shown.first, goal=shown.last, config=replace(config, recalls=False, candidates=3, enough=share))
+    wanted, library = objective_to(model, shown), imagine_library(model, shown.first, config=CONFIG)
+    wanted = replace(wanted, expected=expected_joints(library, wanted, model.coding))
+    once = replace(config, guesses=1)
+    whole = plan(model, start=shown.first, goal=shown.last, config=once)
+    half = (whole.errors.min() + whole.errors[0]) / 2
+    sooner = replace(once, enough=float(half) / wanted.start_to_goal)
+    found = plan(model, start=shown.first, goal=shown.last, config=sooner)
     assert found.stopped is Stopped.ENOUGH
-    assert found.errors[-1] <= 0.5 * (lowest + first) < found.errors[-2]
-    assert len(found.errors) < len(whole.errors)
+    assert found.errors[-1] <= half < found.errors[-2]
+    np.testing.assert_array_equal(found.errors, whole.errors[: len(found.errors)])
+
+
+def test_a_search_without_memory_goes_on(model: PDVMRNN) -> None:
+    shown, alone = bar(0.8), replace(CONFIG, recalls=False)
+    found = [plan(model, start=shown.first, goal=shown.last, config=replace(alone, enough=share)) for share in (0.0, 1e9)]
+    np.testing.assert_array_equal(*(one.errors for one in found))
 
 
 @pytest.mark.parametrize(("doubt", "imagined"), [(0.0, True), (1e9, False)])

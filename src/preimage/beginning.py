@@ -8,6 +8,7 @@ from preimage.blurring import BLUR, apart, arrived, blurred
 from preimage.coding import to_pixels
 from preimage.intention import IntentionTable
 from preimage.model import PDVMRNN
+from preimage.prediction_error import proprioceptive_error
 from preimage.sequences import Sequences
 from preimage.switches import find_switches
 
@@ -36,12 +37,20 @@ def keep_joints(model: PDVMRNN, joints: Float[Tensor, "N T J"]) -> None:
     """Keep where the joints stood as each began, switched something and ended."""
     model.home_joints.copy_(joints[:, 0].mean(0))
     model.shown_firsts.copy_(joints[:, 0])
+    model.starts_apart.fill_(usually_apart(model.coding.encode(joints[:, 0])))
     model.shown_ends.copy_(joints[:, -1])
     model.shown_switches.copy_(joints[:, -1:])
     if found := find_switches(joints):
         count = found.steps.shape[1]
         model.shown_switches[:, :count] = joints[torch.arange(len(joints))[:, None], found.steps]
         model.switching.copy_(torch.tensor([found.joint, count]))
+
+
+def usually_apart(codes: Float[Tensor, "N J K"]) -> float:
+    """The distance within which nine in ten have another, in the error of codes (nats); of a single one 0."""
+    log_codes = codes.clamp(min=1e-12).log()
+    distances = torch.stack([proprioceptive_error(log_codes, one) for one in codes]).fill_diagonal_(torch.inf)
+    return float(distances.amin(1).quantile(0.9)) if len(codes) > 1 else 0.0
 
 
 def spread_intentions(table: IntentionTable, features: Float[Tensor, "N F"], components: int = 16) -> None:

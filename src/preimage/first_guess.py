@@ -68,13 +68,11 @@ def feel_alike(one: Float[Tensor, "J K"], other: Float[Tensor, "J K"]) -> bool:
 def begins_as_shown(model: PDVMRNN, start: Sensed) -> bool:
     """Whether a start feels like those of the demonstrations, so that what they keep of pictures can be compared.
 
-    It is as near to the nearest of them as nine in ten of them are to their nearest.
+    It is as near to the nearest of them as most of them are to their nearest.
     """
     shown = model.coding.encode(model.shown_firsts)
-    log_shown = shown.clamp(min=1e-12).log()
-    distances = torch.stack([proprioceptive_error(log_shown, codes) for codes in (*shown, start[1])]).sort(1).values
-    usual = distances[:-1, 1:2].quantile(0.9).item() if len(shown) > 1 else 0.0  # of each, the nearest but itself
-    return distances[-1, 0].item() < max(usual, SAME_PROPRIOCEPTIVE)
+    nearest = proprioceptive_error(shown.clamp(min=1e-12).log(), start[1]).min()
+    return nearest.item() < max(model.starts_apart.item(), SAME_PROPRIOCEPTIVE)
 
 
 SAME_VISUAL, SAME_PROPRIOCEPTIVE = 10.0, 0.1

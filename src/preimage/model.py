@@ -76,6 +76,8 @@ class PDVMRNN(nn.Module):
     """The last frame of each demonstration, coarsely seen."""
     shown_firsts: Float[Tensor, "N J"]
     """First joint angles of each demonstration (rad)."""
+    starts_apart: Tensor
+    """How far the first joints of a demonstration feel from those of the nearest other; nine in ten are nearer (nats)."""
     shown_ends: Float[Tensor, "N J"]
     """Last joint angles of each demonstration (rad)."""
     usual_start: Float[Tensor, "C H W"]
@@ -149,6 +151,7 @@ class PDVMRNN(nn.Module):
         self.register_buffer("shown_arrivals", torch.zeros(num_sequences, *nothing.shape))
         self.register_buffer("shown_lasts", torch.zeros(num_sequences, *blurred(self.home_pixels, BLUR).shape))
         self.register_buffer("shown_firsts", torch.zeros(num_sequences, sensors.num_joints))
+        self.register_buffer("starts_apart", torch.tensor(0.0))
         self.register_buffer("shown_ends", torch.zeros(num_sequences, sensors.num_joints))
         self.register_buffer("usual_start", torch.zeros_like(self.home_pixels))
         self.register_buffer("shown_starts", torch.zeros_like(self.shown_arrivals))

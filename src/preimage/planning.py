@@ -42,7 +42,7 @@ class PlanConfig(RegressionConfig):
     doubt: float = 0.05
     """A plan is in doubt while its error is above this share of the error of staying at the start, expected joints included."""
     enough: float = 0.01
-    """Share of the error of staying at the start that is small enough: what is left are pixels, which memory tells no less."""
+    """Share of the error of staying at the start at which a search ends, if memory tells the joints: what is left is in single pixels."""
     horizon: int | None = None
     """Steps imagined, T_max; by default as many as the longest demonstration has."""
     delay_penalty: float = 1.01
@@ -86,14 +86,14 @@ def imagine_library(model: PDVMRNN, start: Percept | None = None, *, config: Pla
     """What the model imagines for each of its training intentions, from a start percept or from home, and how they end."""
     config = config or PlanConfig()
     library = library_at(model, as_inputs(model, start or home(model), name="start"), config)
-    assert library.imagined
+    _ = library.imagined  # now, not when it is first needed
     return library
 
 
 def library_at(model: PDVMRNN, inputs: Sensed, config: PlanConfig) -> Library:
-    """The same, imagined when it is needed: the endings are those of the demonstrations, as shown, where the start feels like theirs.
+    """The same, imagined when it is needed.
 
-    Elsewhere they are as imagined.
+    The endings are those of the demonstrations, as shown, where the start feels like theirs, and as imagined elsewhere.
     """
 
     @torch.no_grad()
@@ -105,12 +105,12 @@ def library_at(model: PDVMRNN, inputs: Sensed, config: PlanConfig) -> Library:
     if begins_as_shown(model, inputs):
         shown = model.shown_arrivals, model.shown_lasts, model.shown_firsts, model.shown_ends
         return Library(*common, from_here, model.background, *shown)
-    imagined = from_here()
+    imagined = from_here()  # for memory is made of it
     lasts, ends = imagined.pixels[:, -1], model.coding.decode(imagined.log_codes[:, -1].exp())
     begun = model.coding.decode(inputs[1]).repeat(len(ends), 1)  # not expanded, of which torch 2.13 takes a wrong median
     arrivals = arrived(inputs[0], lasts, model.background)
     library = Library(*common, lambda: imagined, model.background, arrivals, blurred(lasts, BLUR), begun, ends)
-    assert library.imagined
+    _ = library.imagined
     return library
 
 
@@ -152,6 +152,7 @@ def plan(
         return imagine(model, intention, objective.start, num_steps=num_steps or horizon_of(model, config), precision=config.precision)
 
     space = model.intention_table.space(config.dimensions)
+    search = {"config": config, "enough": config.enough * to_explain if objective.expected else 0.0}
     tried: list[Regression] = []
     for begun, count in itertools.pairwise((0, config.candidates, max(config.guesses, config.candidates))):
         if tried and tried[-1].error.min() < config.doubt * to_explain:
@@ -159,8 +160,7 @@ def plan(
         guesses = first_guesses(library, objective, model.coding, space.training, count=count)[begun:]
         if not len(guesses):
             break
-        search = {"config": config, "library": library.at_hand, "enough": config.enough * to_explain}
-        tried.append(regress_intention(space, guesses, from_start, objective, **search))
+        tried.append(regress_intention(space, guesses, from_start, objective, library=library.at_hand, **search))
     found = min(tried, key=lambda one: float(one.error.min()))
     with torch.no_grad():
         imagined = imagine_at_a_glance(model, found.best, objective.start, config)

@@ -204,7 +204,7 @@ def leap(
         here, slopes = there[near], slopes[near]
         lowest.append(here.error.min())
         stale = bool(lowest[-1] > (1 - ENOUGH) * lowest[-2])
-        if stale and fresh:
+        if stale and fresh and lowest[-1] > enough:
             stopped = Stopped.CONVERGED
             break
     return Regression(space.intention(here.points), here.error, torch.stack(lowest), stopped)
