@@ -41,7 +41,7 @@ class PlanConfig(RegressionConfig):
     """First guesses, the recalled one before all; as many as `candidates` are regressed, the others if the plan is in doubt then."""
     doubt: float = 0.05
     """A plan is in doubt while its error is above this share of the error of staying at the start, expected joints included."""
-    enough: float = 0.01
+    enough: float = 0.003
     """Share of the error of staying at the start at which a search ends, if memory tells the joints: what is left is in single pixels."""
     horizon: int | None = None
     """Steps imagined, T_max; by default as many as the longest demonstration has."""
