@@ -20,8 +20,8 @@ from torch import Tensor
 from preimage.blurring import BLUR, apart, arrived, blurred
 from preimage.coding import JointCoding
 from preimage.model import PDVMRNN, Generated, Sensed
-from preimage.prediction_error import VISUAL_WEIGHT, ExpectedJoints, ToGoal, proprioceptive_error, visual_error
-from preimage.recall import Recalled, View, in_own_units, recall_from
+from preimage.prediction_error import VISUAL_WEIGHT, ExpectedJoints, ToGoal, felt_apart, visual_error
+from preimage.recall import Recalled, View, in_own_units, recall
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Library:
 
 def feel_alike(one: Float[Tensor, "J K"], other: Float[Tensor, "J K"]) -> bool:
     """Whether joints of these codes are as good as the same."""
-    return bool(proprioceptive_error(one.clamp(min=1e-12).log(), other) < SAME_PROPRIOCEPTIVE)
+    return bool(felt_apart(one, other) < SAME_PROPRIOCEPTIVE)
 
 
 def begins_as_shown(model: PDVMRNN, start: Sensed) -> bool:
@@ -70,8 +70,7 @@ def begins_as_shown(model: PDVMRNN, start: Sensed) -> bool:
 
     It is as near to the nearest of them as most of them are to their nearest.
     """
-    shown = model.coding.encode(model.shown_firsts)
-    nearest = proprioceptive_error(shown.clamp(min=1e-12).log(), start[1]).min()
+    nearest = felt_apart(model.coding.encode(model.shown_firsts), start[1]).min()
     return nearest.item() < max(model.starts_apart.item(), SAME_PROPRIOCEPTIVE)
 
 
@@ -81,7 +80,7 @@ SAME_VISUAL, SAME_PROPRIOCEPTIVE = 10.0, 0.1
 
 def expected_joints(library: Library, objective: ToGoal, coding: JointCoding) -> ExpectedJoints:
     """The joints with which sequences end that end like the goal: what a picture alone does not say, memory does."""
-    return expected(recall_from(views_of(library, objective, coding), library.ends), library.ends, coding)
+    return expected(recall(views_of(library, objective, coding), library.ends), library.ends, coding)
 
 
 def expected_at_switches(model: PDVMRNN, objective: ToGoal) -> list[ExpectedJoints]:
@@ -94,7 +93,7 @@ def expected_at_switches(model: PDVMRNN, objective: ToGoal) -> list[ExpectedJoin
     views = [*parts, (standing, model.shown_starts), (come, model.shown_arrivals)]
     flat = [(wanted.flatten(), shown.flatten(1)) for wanted, shown in views]
     shown_joints = model.shown_switches[:, : int(model.switching[1])].unbind(1)
-    return [expected(recall_from(flat, joints), joints, model.coding) for joints in shown_joints]
+    return [expected(recall(flat, joints), joints, model.coding) for joints in shown_joints]
 
 
 def expected(recalled: Recalled, shown: Float[Tensor, "N J"], coding: JointCoding) -> ExpectedJoints:
@@ -117,7 +116,7 @@ def first_guesses(
     library: Library, objective: ToGoal, coding: JointCoding, coordinates: Float[Tensor, "N K"], *, count: int
 ) -> Float[Tensor, "candidates K"]:
     """The intention that is recalled for the goal; then training intentions, in turn the one nearest to it at any step and when it ends."""
-    recalled = recall_from(views_of(library, objective, coding), coordinates).mean[None]
+    recalled = recall(views_of(library, objective, coding), coordinates).mean[None]
     if count == 1:
         return recalled
     at_every_step = objective.goal_error(library.imagined)
@@ -151,7 +150,7 @@ def views_of(library: Library, objective: ToGoal, coding: JointCoding) -> list[V
 def begin_differently(library: Library, coding: JointCoding) -> bool:
     """Whether some sequences feel otherwise at their beginning than most."""
     usual = coding.encode(library.firsts.median(0).values)
-    return bool((proprioceptive_error(coding.encode(library.firsts).clamp(min=1e-12).log(), usual) >= SAME_PROPRIOCEPTIVE).any())
+    return bool((felt_apart(coding.encode(library.firsts), usual) >= SAME_PROPRIOCEPTIVE).any())
 
 
 BEGUN = 0.5

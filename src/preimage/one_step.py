@@ -34,7 +34,8 @@ def follow(model: PDVMRNN, plan: Plan, *, config: PlanConfig | None = None) -> C
     start = as_inputs(model, plan.start, name="start")
     intention = unflatten(torch.from_numpy(plan.intention).to(model.home_joints)[None], model.intention_table.shapes)
     with torch.no_grad():
-        bends = plan.joints - mean_joints(model, imagine_at_a_glance(model, intention, start, config)).cpu().numpy()
+        imagined = imagine_at_a_glance(model, intention, start, config)
+    bends = plan.joints - mean_joints(model, imagined.log_codes).cpu().numpy()
     here_and_next = itertools.chain(itertools.pairwise(bends), itertools.repeat((bends[-1], bends[-1])))
     forward, num_looks = model.at(model.pixel_bias.dtype), len(glances(start[0], config.glance))
     states = model.initial_states(intention[torch.zeros(num_looks, dtype=torch.long)])
@@ -43,7 +44,7 @@ def follow(model: PDVMRNN, plan: Plan, *, config: PlanConfig | None = None) -> C
         nonlocal states
         with torch.no_grad():
             (_, log_codes), states = forward((glances(pixels, config.glance), codes.expand(num_looks, *codes.shape)), states)
-        return model.coding.decode(log_codes.exp()).double().mean(0).cpu().numpy()
+        return mean_joints(model, log_codes).cpu().numpy()
 
     predict(*start)  # output t is the prediction of percept t, so the first predicts the start itself
 

@@ -152,7 +152,7 @@ def plan(
         return imagine(model, intention, objective.start, num_steps=num_steps or horizon_of(model, config), precision=config.precision)
 
     space = model.intention_table.space(config.dimensions)
-    search = {"config": config, "enough": config.enough * to_explain if objective.expected else 0.0}
+    enough = config.enough * to_explain if objective.expected else 0.0
     tried: list[Regression] = []
     for begun, count in itertools.pairwise((0, config.candidates, max(config.guesses, config.candidates))):
         if tried and tried[-1].error.min() < config.doubt * to_explain:
@@ -160,11 +160,11 @@ def plan(
         guesses = first_guesses(library, objective, model.coding, space.training, count=count)[begun:]
         if not len(guesses):
             break
-        tried.append(regress_intention(space, guesses, from_start, objective, library=library.at_hand, **search))
+        tried.append(regress_intention(space, guesses, from_start, objective, config=config, library=library.at_hand, enough=enough))
     found = min(tried, key=lambda one: float(one.error.min()))
     with torch.no_grad():
         imagined = imagine_at_a_glance(model, found.best, objective.start, config)
-        if len(steps := switch_steps(model, mean_joints(model, imagined))) == int(model.switching[1]):
+        if len(steps := switch_steps(model, mean_joints(model, imagined.log_codes))) == int(model.switching[1]):
             objective = replace(objective, earliest=max(steps, default=0))  # what was gripped has to be let go first
         error, arrival = (each[0].item() for each in objective.errors(imagined))
     searched = {"errors": found.errors.double().cpu().numpy(), "stopped": found.stopped, "seconds": time.perf_counter() - began}
@@ -198,7 +198,7 @@ def plan_of(
         ends: what else is known of the joints where the robot switches something and, last, at the goal; the way there is bent to agree.
             One that switches more often or less is bent at the goal alone.
     """
-    joints = mean_joints(model, imagined)
+    joints = mean_joints(model, imagined.log_codes)
     if rests:
         joints[arrival_step:] = joints[arrival_step:].mean(0)
     if ends:
@@ -217,9 +217,9 @@ def plan_of(
     )
 
 
-def mean_joints(model: PDVMRNN, imagined: Generated) -> Float[Tensor, "T J"]:
-    """The joints of each step, the mean of all sequences that were imagined."""
-    return model.coding.decode(imagined.log_codes.exp()).double().mean(0)
+def mean_joints(model: PDVMRNN, log_codes: Float[Tensor, "looks *T J K"]) -> Float[Tensor, "*T J"]:
+    """What all looks tell of the joints."""
+    return model.coding.decode(log_codes.exp()).double().mean(0)
 
 
 def switch_steps(model: PDVMRNN, joints: Float[Tensor, "T J"]) -> list[int]:

@@ -46,6 +46,11 @@ def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Flo
     return (torch.special.xlogy(target, target) - target * log_predicted).sum((-1, -2))
 
 
+def felt_apart(codes: Float[Tensor, "*batch J K"], target: Float[Tensor, "*#batch J K"]) -> Float[Tensor, "*batch"]:
+    """The same of codes that were sensed and may hold zeros, instead of predicted ones."""
+    return proprioceptive_error(codes.clamp(min=1e-12).log(), target)
+
+
 def visual_residuals(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "..."]:
     """Numbers whose squares sum to the weighted visual error."""
     return (VISUAL_WEIGHT * pixel_scale(target)) ** 0.5 * (predicted - target)
@@ -187,11 +192,11 @@ class ToGoal:
 
     def counted(self, generated: Generated, aims: Int[Tensor, " B"]) -> tuple[Generated, Float[Tensor, "B T"]]:
         """The steps that count for the goal, and the root of each step's share: the arrival step alone where the goal is passed through."""
-        rows, steps = torch.arange(len(aims), device=aims.device), torch.arange(generated.pixels.shape[1], device=aims.device)
         if not self.rests:
+            rows = torch.arange(len(aims), device=aims.device)
             passed = Generated(generated.pixels[rows, aims][:, None], generated.log_codes[rows, aims][:, None])
             return passed, passed.pixels.new_ones(len(aims), 1)
-        later = steps >= aims[:, None]
+        later = torch.arange(generated.pixels.shape[1], device=aims.device) >= aims[:, None]
         return generated, (later / later.sum(1, keepdim=True)).sqrt().to(generated.pixels.dtype)
 
     def steps_until(self, aims: Int[Tensor, " B"]) -> int | None:

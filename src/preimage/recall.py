@@ -6,7 +6,7 @@ quadratic, falls off slowly, with a constant mean. Its scale and noise are those
 how well it is told so says how far to trust what is recalled (leave one out; Rasmussen and Williams 2006, chapter 5).
 
 >>> features, values = torch.arange(6.0)[:, None], 10 * torch.arange(6.0)[:, None]
->>> recalled = recall(torch.tensor([2.5]), features, values)
+>>> recalled = recall([(torch.tensor([2.5]), features)], values)
 >>> round(recalled.mean.item()), bool(recalled.deviation < 5)
 (25, True)
 """
@@ -36,13 +36,11 @@ class Recalled:
     """How far it may be off: as much as where one ending is recalled from all others, and more the further away those are that tell it."""
 
 
-def recall(wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], values: Float[Tensor, "N V"]) -> Recalled:
-    """The values that go with the wanted features, blended from those of N endings; of a single one nothing can be told but itself."""
-    return recall_from([(wanted, features)], values)
+def recall(views: Sequence[View], values: Float[Tensor, "N V"]) -> Recalled:
+    """The values that go with the wanted features, blended from those of N endings by that of the views that tells the endings best.
 
-
-def recall_from(views: Sequence[View], values: Float[Tensor, "N V"]) -> Recalled:
-    """The same from that of several views, each the wanted features and those of the endings, which tells the endings best."""
+    Of a single ending nothing can be told but itself.
+    """
     count = len(values)
     if count == 1:
         return Recalled(values[0], torch.full_like(values[0], torch.inf))
@@ -58,7 +56,7 @@ def krige(
     """What each scale and noise makes of a view: mean, deviation, and how badly endings are told (sum of logarithms)."""
     points, asked = (each.double().cpu() for each in (features, wanted[None]))  # the matrices are too small for a GPU
     distances, ways = torch.cdist(points, points).square(), torch.cdist(asked, points)[0].square()
-    unit = distances[distances > 0].median() if bool((distances > 0).any()) else distances.new_ones(())
+    unit = usual(distances)
     own = torch.cat([torch.ones(len(points)), torch.zeros(1)]).double().diag()
     for length in (scale * unit for scale in SCALES):
         alike = bordered(1 / (1 + distances / length))
@@ -75,8 +73,12 @@ def krige(
 
 def in_own_units(rows: Float[Tensor, "M F"]) -> Float[Tensor, "M F"]:
     """Rows, the first of which is wanted among the others, in the usual distance between those."""
-    distances = torch.cdist(rows[1:], rows[1:])
-    return rows / distances[distances > 0].median() if bool((distances > 0).any()) else rows
+    return rows / usual(torch.cdist(rows[1:], rows[1:]))
+
+
+def usual(distances: Float[Tensor, "N N"]) -> Float[Tensor, ""]:
+    """The median of those that are not 0; 1 if all are."""
+    return distances[distances > 0].median() if bool((distances > 0).any()) else distances.new_ones(())
 
 
 def bordered(kernel: Float[Tensor, "N N"]) -> Float[Tensor, "M M"]:
