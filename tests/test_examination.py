@@ -105,6 +105,12 @@ def elsewhere(one: Episode) -> Episode:
     return with_joint(one, 0, lambda joint: joint + aside)
 
 
+def out_of_sight(one: Episode) -> Episode:
+    """The hand has left the picture when the last frame is taken."""
+    last = room() + np.random.default_rng(one.index).normal(0, 1, SIZE)
+    return replace(one, frames=np.concatenate([one.frames[:-1], last.astype(np.uint8)[None, ..., None]]))
+
+
 FAULT, WARNING, NOTE = Severity
 PLANTED: dict[str, tuple[Kind, Severity, Fault]] = {
     "a frame was lost": (Kind.LENGTHS, FAULT, in_one(lambda one: replace(one, frames=np.delete(one.frames, 9, 0)))),
@@ -131,6 +137,7 @@ PLANTED: dict[str, tuple[Kind, Severity, Fault]] = {
     "a stuck camera": (Kind.STUCK, WARNING, in_one(lambda one: replace(one, frames=np.repeat(one.frames[:1], len(one.frames), 0)))),
     "a camera that is pushed": (Kind.MOVED, WARNING, lambda some: [seen_from(one, (3, -2)) if one.index >= ILL else one for one in some]),
     "a goal shown twice": (Kind.DUPLICATES, WARNING, again),
+    "a hand out of sight": (Kind.UNTOLD, WARNING, in_all(out_of_sight)),
 }
 
 
@@ -179,7 +186,7 @@ def test_every_fault_says_which_episode_and_what_would_help(name):
     for finding in ill(name).findings:
         if finding.kind is kind:
             assert finding.help
-            everywhere = kind in (Kind.CLOCK, Kind.RANGE, Kind.BLANK) and len(finding.episodes) != 1
+            everywhere = kind in (Kind.CLOCK, Kind.RANGE, Kind.BLANK, Kind.UNTOLD) and len(finding.episodes) != 1
             assert everywhere or finding.episodes == (ILL,)
 
 

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from preimage.examination.findings import Finding, Kind, Severity
-from preimage.examination.goals import coverage, duplicates, spacing
+from preimage.examination.goals import coverage, duplicates, spacing, untold
 from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrest
 from preimage.examination.pictures import blank, moved, scene, stuck
 from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths, unreadable
@@ -77,4 +77,4 @@ def _findings(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> list[Finding
     apart = spacing(seen)
     of_arm = [*clock(seen), *frozen(seen), *out_of_range(seen), *jumps(seen), *unrest(seen)]
     of_camera = [*blank(seen), *stuck(seen), *moved(seen, moves)]
-    return [*of_arm, *of_camera, *duplicates(seen, apart), *starts(seen), *coverage(seen, apart), *scene(seen)]
+    return [*of_arm, *of_camera, *duplicates(seen, apart), *untold(seen, moves), *starts(seen), *coverage(seen, apart), *scene(seen)]

@@ -35,6 +35,7 @@ class Kind(enum.Enum):
     STUCK = "camera stuck"
     MOVED = "camera moved"
     DUPLICATES = "duplicate goals"
+    UNTOLD = "joints out of sight"
     GOALS = "goals"
     SCENE = "scene"
 

@@ -13,11 +13,17 @@ from jaxtyping import Float
 
 from preimage.examination.findings import Finding, Kind, Severity, in_episodes
 from preimage.examination.seen import Seen, divisors
+from preimage.examination.viewpoint import CameraMove, stretches
 
 SAME_JOINTS = 0.01
 """Share of a joint's span within which two goals are one: a tenth of the way between neighbours among a hundred."""
 SAME_FRAME = 2.0
 """Grey levels (root mean square) within which two frames are one: less than the noise of most cameras."""
+
+TOLD = 2 / 3
+"""Share of the usual distance at which the joints of two alike goals must lie: a hundred goals on a table come to a fifth, 25 to a half."""
+LEAST_TO_TELL = 20
+"""Goals from one viewpoint, from which on it can be said: of fewer, the most alike are too unlike to tell anything."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,22 @@ def duplicates(seen: Sequence[Seen], apart: Spacing) -> Iterator[Finding]:
     pairs = [f"{seen[a].index} and {seen[b].index}" for a, b in np.argwhere(same)[:4]]
     what = f"{in_episodes(repeated)} end where an earlier one ends ({', '.join(pairs)}): {len(seen) - len(repeated)} different goals"
     yield Finding(Kind.DUPLICATES, Severity.WARNING, what, "spread the goals over the whole room", tuple(repeated))
+
+
+def untold(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> Iterator[Finding]:
+    """Where the joints cannot be read from the last frames: those of the frame that is most alike are hardly nearer than any others."""
+    shared = set(max(stretches(seen, moves), key=len))
+    from_one_place = [one for one in seen if one.index in shared and one.sees]
+    if len(from_one_place) < LEAST_TO_TELL:
+        return
+    apart, others = spacing(from_one_place), ~np.eye(len(from_one_place), dtype=bool)
+    most_alike = np.where(others, apart.frames, np.inf).argmin(1)
+    of_alike, of_any = apart.all_joints[np.arange(len(others)), most_alike].mean(), apart.all_joints[others].mean()
+    if of_alike <= TOLD * of_any:
+        return
+    what = f"where two last frames are most alike, the joints lie {100 * of_alike / of_any:.0f} % as far apart as in any two (mean)"
+    help_ = "let the last frame show the whole arm and nothing that changes by itself: what it does not show a plan has to guess"
+    yield Finding(Kind.UNTOLD, Severity.WARNING, what, help_)
 
 
 def coverage(seen: Sequence[Seen], apart: Spacing) -> Iterator[Finding]:
