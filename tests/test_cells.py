@@ -54,7 +54,7 @@ def test_gradients_over_several_steps_equal_those_of_plain_autograd(spatial: tup
     leaves = [inputs, hidden, cell, ours.gates.weight, ours.gates.bias]
 
     def run(fast: bool) -> list[torch.Tensor]:
-        step, state, total = ours.at(torch.float64), (hidden, cell), torch.zeros((), dtype=torch.float64)
+        step, state, total = ours.at(torch.float64, num_steps=3), (hidden, cell), torch.zeros((), dtype=torch.float64)
         for number in range(3):
             fed = inputs * (number + 1)
             if fast:
@@ -75,6 +75,23 @@ def test_weights_that_are_frozen_get_no_gradient_but_inputs_do() -> None:
     (gradient,) = torch.autograd.grad(layer.at(torch.float32)(inputs).sum(), inputs)
     assert gradient.abs().sum() > 0
     assert layer.weight.grad is None
+
+
+def test_a_step_to_which_nothing_comes_back_adds_nothing_to_the_weights() -> None:
+    layer, inputs = Linear(3, 4).double(), torch.randn(3, 2, 3, dtype=torch.float64)
+    step = layer.at(torch.float64, num_steps=3)
+    _, wanted, _ = (step(each) for each in inputs)
+    (gradient,) = torch.autograd.grad(wanted.sum(), layer.weight)
+    torch.testing.assert_close(gradient, inputs[1].sum(0).expand(4, 3))
+
+
+def test_large_matrices_are_multiplied_the_same_in_another_order() -> None:
+    layer, inputs = Linear(1024, 1024), torch.randn(4, 1024, dtype=torch.bfloat16, requires_grad=True)
+    ours = layer.at(torch.bfloat16)(inputs)
+    plain = nn.functional.linear(inputs, layer.weight.bfloat16(), layer.bias.bfloat16())
+    torch.testing.assert_close(ours, plain)
+    (fast,), (slow,) = (torch.autograd.grad(each.float().square().sum(), inputs) for each in (ours, plain))
+    torch.testing.assert_close(fast, slow, rtol=0.02, atol=0.02)
 
 
 def test_depth_to_space_undoes_space_to_depth_and_patches_stay_together() -> None:

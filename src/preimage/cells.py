@@ -1,9 +1,9 @@
 """What one time step is made of: linear maps that are used at every step, the LSTM gates, and the ties between layers.
 
 An unrolled network applies the same weights at every step of a sequence. Summing the weights' gradient step by step costs a small
-matrix product each time; here each map keeps what went in and what came back, and its gradient is one large product over all steps
-when the last of them has been gone back through. That is the same sum in another order, exact in float64, more accurate in bfloat16
-(one accumulation in float32), and faster.
+matrix product each time; here each map writes what goes in and what comes back side by side on a tape, and its gradient is one large
+product over all steps when the last of them has been gone back through. That is the same sum in another order, exact in float64,
+more accurate in bfloat16 (one accumulation in float32), and faster.
 
 A map and a cell are first taken `at` a precision, for the steps of one sequence, and then called at each of them:
 
@@ -26,49 +26,123 @@ from torch.autograd.function import once_differentiable
 
 State = tuple[Tensor, Tensor]
 """Hidden state h and cell state c of one layer, each (B, units) or (B, channels, height, width)."""
-Tape = list[tuple[Tensor, Tensor]]
-"""What entered a map, and the gradient that came back to its output, for every step."""
 Step = Callable[[Tensor], Tensor]
-CellStep = Callable[[Sequence[Tensor], State], State]
+CellFunction = Callable[[Sequence[Tensor], State], State]
+Packed = tuple[Tensor, Tensor] | None
+"""A matrix and its transpose in the order in which a CPU multiplies them, where it pays."""
+LARGE = 2**20
+"""Weights from which on a matrix is packed."""
+
+
+class Tape:
+    """What entered a map at each step, and the gradient that came back to its output, side by side as one large batch.
+
+    Args:
+        num_steps: how many steps are to come, at most.
+        layout: how batches lie in memory.
+    """
+
+    def __init__(self, num_steps: int, layout: torch.memory_format) -> None:
+        self.num_steps, self.layout = num_steps, layout
+        self.packed: Packed = None
+        self.clear()
+
+    def clear(self) -> None:
+        """Give the memory back."""
+        self.entered: Tensor | None = None
+        self.returned: Tensor | None = None
+        self.num_entered = 0
+        self.steps_returned: set[int] = set()
+
+    def enter(self, parts: Sequence[Tensor]) -> tuple[Tensor, int]:
+        """The parts joined along dimension 1, which is the input of a new step, and the number of that step."""
+        number, self.num_entered = self.num_entered, self.num_entered + 1
+        if self.entered is None:
+            self.entered = self._room(parts[0], sum(part.shape[1] for part in parts))
+        return torch.cat(list(parts), dim=1, out=self.at(number)), number
+
+    def at(self, number: int) -> Tensor:
+        """What entered at a step."""
+        assert self.entered is not None
+        return self.entered.unflatten(0, (self.num_steps, -1))[number]
+
+    def room_for(self, number: int, like: Tensor) -> Tensor:
+        """Where the gradient that comes back to the output of a step is to be written."""
+        if self.returned is None:
+            self.returned = self._room(like, like.shape[1])
+        self.steps_returned.add(number)
+        return self.returned.unflatten(0, (self.num_steps, -1))[number]
+
+    def whole(self) -> tuple[Tensor, Tensor] | None:
+        """All inputs and all gradients, (steps * B, ...); a step to which nothing came back counts as zero."""
+        if self.entered is None or self.returned is None:
+            return None
+        rows = self.num_entered * (len(self.entered) // self.num_steps)
+        for number in set(range(self.num_entered)) - self.steps_returned:
+            self.returned.unflatten(0, (self.num_steps, -1))[number].zero_()
+        return self.entered[:rows], self.returned[:rows]
+
+    def _room(self, like: Tensor, channels: int) -> Tensor:
+        size = self.num_steps * len(like), channels, *like.shape[2:]
+        return torch.empty(size, dtype=like.dtype, device=like.device, memory_format=self.layout)
 
 
 class Linear(nn.Linear):
     """A fully connected map over the last dimension."""
 
-    def at(self, dtype: torch.dtype) -> Step:
+    layout = torch.contiguous_format
+
+    def at(self, dtype: torch.dtype, num_steps: int = 1) -> Step:
         """The map in this precision, for all steps of one sequence."""
-        return stepwise(self, dtype)
+        return stepwise(self, dtype, num_steps)
 
-    def value(self, inputs: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-        return nn.functional.linear(inputs, weight, bias)
+    def pack(self, weight: Tensor) -> Packed:
+        """The weights in the order in which they are multiplied, once for all steps: few rows take less time than the ordering."""
+        suits = weight.dtype == torch.bfloat16 and not weight.is_cuda and weight.numel() >= LARGE
+        # torch's own compiler is who calls these otherwise, so that a later torch may not have them.
+        if not suits or not hasattr(torch.ops.mkldnn, "_reorder_linear_weight") or not torch.ops.mkldnn._is_mkldnn_bf16_supported():
+            return None
+        order = torch.ops.mkldnn._reorder_linear_weight
+        return order(weight), order(weight.T.contiguous())
 
-    def input_gradient(self, gradient: Tensor, inputs: Tensor, weight: Tensor) -> Tensor:
-        return gradient @ weight
+    def value(self, inputs: Tensor, weight: Tensor, bias: Tensor, packed: Packed = None) -> Tensor:
+        return nn.functional.linear(inputs, weight, bias) if packed is None else packed_product(inputs, packed[0], bias)
 
-    def weight_gradient(self, tape: Tape, weight: Tensor) -> tuple[Tensor, Tensor]:
-        inputs, gradients = (torch.cat([part.flatten(0, -2) for part in parts]) for parts in zip(*tape, strict=True))
+    def input_gradient(self, gradient: Tensor, inputs: Tensor, weight: Tensor, packed: Packed = None) -> Tensor:
+        return gradient @ weight if packed is None else packed_product(gradient, packed[1])
+
+    def weight_gradient(self, inputs: Tensor, gradients: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+        gradients, inputs = gradients.flatten(0, -2), inputs.flatten(0, -2)
         return gradients.T @ inputs, gradients.sum(0, dtype=self.weight.dtype)
+
+
+def packed_product(rows: Tensor, packed: Tensor, bias: Tensor | None = None) -> Tensor:
+    return torch.ops.mkldnn._linear_pointwise(rows, packed, bias, "none", [], "")
 
 
 class Conv(nn.Conv2d):
     """A convolution of an odd kernel that keeps the size of the map, channels last in memory: twice as fast on a CPU."""
 
+    layout = torch.channels_last
+
     def __init__(self, inputs: int, channels: int, kernel: int = 3) -> None:
         super().__init__(inputs, channels, kernel, padding=kernel // 2)
         self.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
-    def at(self, dtype: torch.dtype) -> Step:
+    def at(self, dtype: torch.dtype, num_steps: int = 1) -> Step:
         """The map in this precision, for all steps of one sequence."""
-        return stepwise(self, dtype)
+        return stepwise(self, dtype, num_steps)
 
-    def value(self, inputs: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    def pack(self, weight: Tensor) -> Packed:
+        return None
+
+    def value(self, inputs: Tensor, weight: Tensor, bias: Tensor, packed: Packed = None) -> Tensor:
         return nn.functional.conv2d(inputs, weight, bias, padding=self.padding)
 
-    def input_gradient(self, gradient: Tensor, inputs: Tensor, weight: Tensor) -> Tensor:
+    def input_gradient(self, gradient: Tensor, inputs: Tensor, weight: Tensor, packed: Packed = None) -> Tensor:
         return self._gradients(gradient, inputs, weight, [True, False, False])[0]
 
-    def weight_gradient(self, tape: Tape, weight: Tensor) -> tuple[Tensor, Tensor]:
-        inputs, gradients = (torch.cat(parts) for parts in zip(*tape, strict=True))
+    def weight_gradient(self, inputs: Tensor, gradients: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
         _, of_weight, of_bias = self._gradients(gradients, inputs, weight, [False, True, True])
         return of_weight, of_bias
 
@@ -80,14 +154,22 @@ class Conv(nn.Conv2d):
 Map = Linear | Conv
 
 
-def stepwise(layer: Map, dtype: torch.dtype) -> Step:
-    """The layer in this precision as a function of one step's input, its weight gradient summed once over all steps."""
+def prepared(layer: Map, dtype: torch.dtype, num_steps: int) -> tuple[Tensor, Tensor, Tape | None]:
+    """Weight and bias in this precision, for all steps of one sequence, and the tape for their gradients; none for frozen weights."""
     assert layer.bias is not None
     if not (torch.is_grad_enabled() and layer.weight.requires_grad):
-        fixed = layer.weight.to(dtype), layer.bias.to(dtype)
-        return lambda inputs: layer.value(inputs, *fixed)
-    tape: Tape = []
+        return layer.weight.to(dtype), layer.bias.to(dtype), None
+    tape = Tape(num_steps, layer.layout)
     weight, bias = Weights.apply(layer.weight, layer.bias, layer, dtype, tape)  # pyright: ignore[reportGeneralTypeIssues]
+    tape.packed = layer.pack(weight.detach())
+    return weight, bias, tape
+
+
+def stepwise(layer: Map, dtype: torch.dtype, num_steps: int) -> Step:
+    """The layer in this precision as a function of one step's input."""
+    weight, bias, tape = prepared(layer, dtype, num_steps)
+    if tape is None:
+        return lambda inputs: layer.value(inputs, weight, bias)
     return lambda inputs: MapStep.apply(inputs, weight, bias, layer, tape)  # pyright: ignore[reportReturnType]
 
 
@@ -105,9 +187,10 @@ class Weights(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *_: None) -> tuple[Tensor | None, ...]:
-        if not ctx.tape:
+        whole = ctx.tape.whole()
+        if whole is None:
             return None, None, None, None, None
-        of_weight, of_bias = ctx.layer.weight_gradient(ctx.tape, *ctx.saved_tensors)
+        of_weight, of_bias = ctx.layer.weight_gradient(*whole, *ctx.saved_tensors)
         ctx.tape.clear()
         return of_weight.to(ctx.layer.weight.dtype), of_bias.to(ctx.layer.bias.dtype), None, None, None
 
@@ -117,45 +200,43 @@ class MapStep(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, inputs: Tensor, weight: Tensor, bias: Tensor, layer: Map, tape: Tape) -> Tensor:
+        entered, ctx.number = tape.enter([inputs])
         ctx.layer, ctx.tape = layer, tape
-        ctx.save_for_backward(inputs, weight)
-        return layer.value(inputs, weight, bias)
+        ctx.save_for_backward(weight)
+        return layer.value(entered, weight, bias, tape.packed)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        inputs, weight = ctx.saved_tensors
-        ctx.tape.append((inputs, gradient))
-        back = ctx.layer.input_gradient(gradient, inputs, weight) if ctx.needs_input_grad[0] else None
+        (weight,) = ctx.saved_tensors
+        returned = ctx.tape.room_for(ctx.number, gradient).copy_(gradient)
+        back = ctx.layer.input_gradient(returned, ctx.tape.at(ctx.number), weight, ctx.tape.packed) if ctx.needs_input_grad[0] else None
         return back, None, None, None, None
 
 
-class Gate(torch.autograd.Function):
-    """The LSTM equations after the linear part: gates hold input, forget, output and candidate, stacked along dimension 1.
+class CellStep(torch.autograd.Function):
+    """One step of an LSTM: its inputs side by side through a layer to the gates, and through these to the new state.
 
-    c' = f c + i g and h' = o tanh(c'), with i, f, o sigmoids and g a tanh of the gates. The cell state keeps its own precision; the
-    hidden state comes in that of the gates.
+    The gates are input, forget, output and candidate, stacked along dimension 1: c' = f c + i g and h' = o tanh(c'), with i, f, o
+    sigmoids and g a tanh of them. The cell state keeps its own precision; the hidden state comes in that of the layer.
     """
 
     @staticmethod
-    def forward(ctx: Any, gates: Tensor, cell: Tensor) -> State:
-        units = cell.shape[1]
-        by_pixel = gates.movedim(1, -1)
-        # One block of memory per gate: with the gates side by side in every pixel each operation would stumble from pixel to pixel.
-        opened = torch.empty(4, *by_pixel.shape[:-1], units, dtype=cell.dtype, device=cell.device)
-        opened.copy_(by_pixel.unflatten(-1, (4, units)).movedim(-2, 0))
-        open_gates(opened)
+    def forward(ctx: Any, cell: Tensor, weight: Tensor, bias: Tensor, layer: Map, tape: Tape | None, *inputs: Tensor) -> State:
+        entered, ctx.number = tape.enter(inputs) if tape else (torch.cat(inputs, dim=1), 0)
+        gates = layer.value(entered, weight, bias, tape and tape.packed)
+        opened = opened_gates(gates, cell.dtype)
         admit, keep, show, candidate = opened.movedim(-1, 2)
         new_cell = torch.addcmul(keep * cell, admit, candidate)
         squashed = new_cell.tanh() if new_cell.is_cuda else (2 * new_cell).sigmoid_().mul_(2).sub_(1)
-        ctx.save_for_backward(opened, cell, squashed)
-        ctx.dtype = gates.dtype
+        ctx.layer, ctx.tape, ctx.channels = layer, tape, [part.shape[1] for part in inputs]
+        ctx.save_for_backward(weight, opened, cell, squashed, *(() if tape else (entered,)))
         return (show * squashed).to(gates.dtype), new_cell
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, of_hidden: Tensor, of_cell: Tensor) -> State:
-        opened, cell, squashed = ctx.saved_tensors
+    def backward(ctx: Any, of_hidden: Tensor, of_cell: Tensor) -> tuple[Tensor | None, ...]:
+        weight, opened, cell, squashed, *kept = ctx.saved_tensors
         admit, keep, show, candidate = opened.movedim(-1, 2)
         of_hidden = of_hidden.to(cell.dtype)
         # Into a tensor that lies as the others do: the first to come back are zeros that lie otherwise, and all would follow them.
@@ -168,9 +249,28 @@ class Gate(torch.autograd.Function):
         torch.mul(of_cell, admit, out=gates[3])
         torch.ops.aten.sigmoid_backward(back[:3], opened[:3], grad_input=back[:3])
         torch.ops.aten.tanh_backward(back[3], opened[3], grad_input=back[3])
-        of_gates = torch.empty(*back.shape[1:-1], 4 * back.shape[-1], dtype=ctx.dtype, device=back.device)
-        of_gates.unflatten(-1, (4, -1)).movedim(-2, 0).copy_(back)
-        return of_gates.movedim(-1, 1), of_cell * keep
+        (entered,) = kept or (ctx.tape.at(ctx.number),)
+        of_gates = torch.empty(
+            len(cell), 4 * cell.shape[1], *cell.shape[2:], dtype=weight.dtype, device=weight.device, memory_format=ctx.layer.layout
+        )
+        if ctx.tape:
+            of_gates = ctx.tape.room_for(ctx.number, of_gates)
+        of_gates.movedim(1, -1).unflatten(-1, (4, -1)).movedim(-2, 0).copy_(back)
+        of_inputs = ctx.layer.input_gradient(of_gates, entered, weight, ctx.tape and ctx.tape.packed)
+        return of_cell * keep, None, None, None, None, *of_inputs.split(ctx.channels, dim=1)
+
+
+def opened_gates(gates: Tensor, dtype: torch.dtype) -> Tensor:
+    """Sigmoids of input, forget and output gate and the tanh of the candidate, (4, B, *size, units).
+
+    One block of memory per gate: with the gates side by side in every pixel each operation would stumble from pixel to pixel.
+    """
+    by_pixel = gates.movedim(1, -1)
+    units = by_pixel.shape[-1] // 4
+    opened = torch.empty(4, *by_pixel.shape[:-1], units, dtype=dtype, device=gates.device)
+    opened.copy_(by_pixel.unflatten(-1, (4, units)).movedim(-2, 0))
+    open_gates(opened)
+    return opened
 
 
 def open_gates(gates: Tensor) -> None:
@@ -199,9 +299,9 @@ class LSTM(nn.Module):
         self.gates = Linear(inputs + units, 4 * units)
         remember_at_first(self.gates.bias)
 
-    def at(self, dtype: torch.dtype) -> CellStep:
+    def at(self, dtype: torch.dtype, num_steps: int = 1) -> CellFunction:
         """The cell in this precision, for all steps of one sequence."""
-        return cell_step(self.gates.at(dtype))
+        return cell_step(self.gates, dtype, num_steps)
 
 
 class ConvLSTM(nn.Module):
@@ -213,15 +313,17 @@ class ConvLSTM(nn.Module):
         assert self.gates.bias is not None
         remember_at_first(self.gates.bias)
 
-    def at(self, dtype: torch.dtype) -> CellStep:
+    def at(self, dtype: torch.dtype, num_steps: int = 1) -> CellFunction:
         """The cell in this precision, for all steps of one sequence."""
-        return cell_step(self.gates.at(dtype))
+        return cell_step(self.gates, dtype, num_steps)
 
 
-def cell_step(gates: Step) -> CellStep:
+def cell_step(layer: Map, dtype: torch.dtype, num_steps: int) -> CellFunction:
+    weight, bias, tape = prepared(layer, dtype, num_steps)
+
     def step(inputs: Sequence[Tensor], state: State) -> State:
         hidden, cell = state
-        return Gate.apply(gates(torch.cat([*inputs, hidden], dim=1)), cell)  # pyright: ignore[reportReturnType]
+        return CellStep.apply(cell, weight, bias, layer, tape, *inputs, hidden)  # pyright: ignore[reportReturnType]
 
     return step
 
@@ -270,9 +372,9 @@ class Lateral(nn.Module):
         self.from_vision = Linear(channels, seen)
         self.to_keypoints = Linear(channels, keypoints) if keypoints else None
 
-    def to_vision(self, dtype: torch.dtype) -> Step:
+    def to_vision(self, dtype: torch.dtype, num_steps: int = 1) -> Step:
         """(B, units) to (B, lateral, height, width)."""
-        project = self.from_motor.at(dtype)
+        project = self.from_motor.at(dtype, num_steps)
 
         def step(hidden: Tensor) -> Tensor:
             coarse = project(hidden).unflatten(1, (*self.grid, self.lateral)).permute(0, 3, 1, 2)  # (B, lateral, *grid)
@@ -280,10 +382,10 @@ class Lateral(nn.Module):
 
         return step
 
-    def to_motor(self, dtype: torch.dtype) -> Step:
+    def to_motor(self, dtype: torch.dtype, num_steps: int = 1) -> Step:
         """(B, channels, height, width) to (B, seen * grid + 2 * keypoints)."""
-        project = self.from_vision.at(dtype)
-        point = self.to_keypoints.at(dtype) if self.to_keypoints else None
+        project = self.from_vision.at(dtype, num_steps)
+        point = self.to_keypoints.at(dtype, num_steps) if self.to_keypoints else None
 
         def step(hidden: Tensor) -> Tensor:
             coarse = hidden if self.scale == 1 else nn.functional.avg_pool2d(hidden, self.scale)
@@ -303,8 +405,8 @@ class Up(nn.Module):
         super().__init__()
         self.project = Conv(4 * below, above)
 
-    def at(self, dtype: torch.dtype) -> Step:
-        project = self.project.at(dtype)
+    def at(self, dtype: torch.dtype, num_steps: int = 1) -> Step:
+        project = self.project.at(dtype, num_steps)
         return lambda maps: project(space_to_depth(maps))
 
 
@@ -315,6 +417,6 @@ class Down(nn.Module):
         super().__init__()
         self.project = Conv(above, 4 * below)
 
-    def at(self, dtype: torch.dtype) -> Step:
-        project = self.project.at(dtype)
+    def at(self, dtype: torch.dtype, num_steps: int = 1) -> Step:
+        project = self.project.at(dtype, num_steps)
         return lambda maps: depth_to_space(project(maps))

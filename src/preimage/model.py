@@ -186,15 +186,21 @@ class PDVMRNN(nn.Module):
             states[name] = torch.tanh(hidden), cell
         return states
 
-    def at(self, dtype: torch.dtype) -> NetworkStep:
-        """One step of the network in this precision, from the top down, for all steps of one sequence.
+    def at(self, dtype: torch.dtype, num_steps: int = 1) -> NetworkStep:
+        """One step of the network in this precision, from the top down, for so many steps of one sequence.
 
         Cell states, predicted pixels and log codes keep the precision of the weights.
         """
         levels = self.config.num_levels
-        top, to_pixels, to_codes, motor_to_top = (part.at(dtype) for part in (self.top, self.to_pixels, self.to_codes, self.motor_to_top))
-        ups, downs, visions, motors = ([part.at(dtype) for part in parts] for parts in (self.ups, self.downs, self.visions, self.motors))
-        to_vision, to_motor = [tie.to_vision(dtype) for tie in self.laterals], [tie.to_motor(dtype) for tie in self.laterals]
+        top, to_pixels, to_codes, motor_to_top = (
+            part.at(dtype, num_steps) for part in (self.top, self.to_pixels, self.to_codes, self.motor_to_top)
+        )
+        ups, downs, visions, motors = (
+            [part.at(dtype, num_steps) for part in parts] for parts in (self.ups, self.downs, self.visions, self.motors)
+        )
+        to_vision, to_motor = (
+            [direction(tie, dtype, num_steps) for tie in self.laterals] for direction in (Lateral.to_vision, Lateral.to_motor)
+        )
         top_size = self.state_shapes["top"][1:]
 
         def read_out(vision: Tensor, motor: Tensor) -> Inputs:
@@ -287,7 +293,7 @@ class PDVMRNN(nn.Module):
     def _generate(
         self, intention: IntentionState, start: Inputs, num_steps: int, feed: Callable[[int, Inputs], Inputs], dtype: torch.dtype | None
     ) -> Generated:
-        forward = self.at(dtype or self.pixel_bias.dtype)
+        forward = self.at(dtype or self.pixel_bias.dtype, num_steps)
         states, inputs = self.initial_states(intention), start
         all_pixels, all_log_codes = [], []
         for step in range(num_steps):
