@@ -14,9 +14,9 @@ from jaxtyping import config, install_import_hook
 settings.register_profile("preimage", deadline=None)  # a busy machine is no failure
 settings.load_profile("preimage")
 
-LEFT_OUT = {"robot", "execution", "planning", "cells"}
-"""Rooms whose tests hand them wrong shapes to read the refusal, whose annotations are narrower than what they pass on, or whose small
-functions are called at every step of every layer and would take the suite past its time."""
+LEFT_OUT = {"robot", "execution", "planning", "cells", "lanes", "planes", "compiled"}
+"""Rooms whose tests hand them wrong shapes to read the refusal, whose annotations are narrower than what they pass on, whose small
+functions are called at every step of every layer and would take the suite past its time, or whose functions numba reads as they are."""
 ROOMS = {name for _, name, _ in pkgutil.iter_modules([str(Path(__file__).parents[1] / "src/preimage")])}
 
 
@@ -55,6 +55,14 @@ def make_demonstration(
         row, column = (begin + way[step] * (end - begin)).astype(int)
         frames[step, row : row + height // 4, column : column + width // 4] = 220
     return Demonstration(frames, joints, rate_hz, tuple(names), scene)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def by_torch() -> Iterator[None]:
+    """Tiny networks of the tests go the way of the large ones; `test_compiled` says that the other way leads to the same."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("preimage.model.COMPILES", False)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -25,6 +25,8 @@ def test_examples(path):
     parts = path.relative_to(ROOT.parent).with_suffix("").parts
     if path.name == "environments.py":
         pytest.importorskip("gymnasium")
+    if path.name in ("lanes.py", "planes.py", "compiled.py", "program.py"):
+        pytest.importorskip("numba")
     module = importlib.import_module(".".join(part for part in parts if part != "__init__"))
     runner = doctest.DocTestRunner()
     for test in OwnFinder().find(module):

@@ -18,7 +18,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from preimage.devices import CPU, chip_of
 from preimage.memory import keep_freed_memory
-from preimage.model import PDVMRNN
+from preimage.model import COMPILES, PDVMRNN
 from preimage.planning import PlanConfig, imagine_library, plan
 from preimage.records import Percept
 from preimage.robot import TASKS, Arm, record
@@ -62,6 +62,8 @@ def bench(place: torch.device = CPU, *, quick: bool = False, tell: Callable[[str
     limits = {name: limit_gflops(place, dtype) for name, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16))}
     tell(f"limit: {limits['fp32']:.0f} GFLOP/s in float32, {limits['bf16']:.0f} in bfloat16")
     result: dict[str, Any] = {"device": chip_of(place), "threads": torch.get_num_threads(), "limit_gflops": limits}
+    if not COMPILES:
+        tell("tiny networks are not compiled, for numba is not there: pip install 'preimage[fast]'")
     works = {"small": Work(ModelConfig.small()), "peer": Work(PEER_CONFIG, PEER, batch=2, steps=80, dtype=torch.float32)}
     if not quick:
         works["paper"] = Work(ModelConfig.paper(), steps=60)
@@ -92,12 +94,12 @@ def fastest(work: Callable[[], Any], place: torch.device, repeats: int = 15) -> 
     return min(seconds)
 
 
-def seconds_of(work: Callable[[], Any], place: torch.device) -> float:
-    began = time.perf_counter()
+def seconds_of(work: Callable[[], Any], place: torch.device, clock: Callable[[], float] = time.perf_counter) -> float:
+    began = clock()
     work()
     if place.type == "cuda":
         torch.cuda.synchronize(place)
-    return time.perf_counter() - began
+    return clock() - began
 
 
 def flops_of_step(model: PDVMRNN) -> int:
@@ -106,8 +108,8 @@ def flops_of_step(model: PDVMRNN) -> int:
     Counted are matrix products and convolutions, a multiplication and an addition as two.
     """
     start = model.home_pixels[None], model.coding.encode(model.home_joints)[None]
-    with FlopCounterMode(display=False) as counter:  # with gradients, though none are taken: without, a GPU would replay what is counted
-        model.generate_closed_loop(model.intention_table.prior_mean(1), start, num_steps=1)
+    with FlopCounterMode(display=False) as counter:  # of one step itself: a loop may be compiled or replayed, out of the counter's sight
+        model.at(model.pixel_bias.dtype)(start, model.initial_states(model.intention_table.prior_mean(1)))
     return counter.get_total_flops()
 
 
@@ -134,9 +136,8 @@ def update_of(work: Work, place: torch.device) -> tuple[PDVMRNN, Callable[[], No
 def timed_training(work: Work, place: torch.device, limits: dict[str, float], tell: Callable[[str], None], name: str) -> dict[str, Any]:
     """Updates of a network, beside the limit."""
     model, once = update_of(work, place)
-    cpu = time.process_time()
     seconds = fastest(once, place, REPEATS)
-    cpu_seconds = (time.process_time() - cpu) / (REPEATS + 2)
+    cpu_seconds = min(seconds_of(once, place, time.process_time) for _ in range(REPEATS))
     seq_steps = work.batch * work.steps
     gflop_per_seq_step = 3 * flops_of_step(model) / 1e9
     gflops = gflop_per_seq_step * seq_steps / seconds

@@ -1,0 +1,141 @@
+"""The compiled loop is the network's own: the same values and gradients as torch's step gives, in every shape that is served."""
+
+from collections.abc import Callable
+from copy import deepcopy
+
+import pytest
+import torch
+from torch import Tensor
+
+from conftest import make_demonstration
+from preimage.model import PDVMRNN, Generated, imagined
+from preimage.sizes import ModelConfig, Sensors
+from preimage.training import TrainConfig, train
+
+pytest.importorskip("numba")
+
+THREE_LEVELS = ModelConfig(vision_channels=(5, 6, 8), motor_units=(9, 8, 7), top_channels=6, lateral_channels=2, seen_channels=3)
+CASES = {
+    "two levels": (ModelConfig.tiny(), (16, 16, 1), 3),
+    "one sequence, wide, in colour": (ModelConfig.tiny(), (16, 24, 3), 1),
+    "three levels": (THREE_LEVELS, (32, 16, 1), 2),
+    "more places than a chunk": (ModelConfig.tiny(), (64, 64, 1), 3),
+}
+NUM_STEPS = 4
+SMALL = Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0))
+
+
+@pytest.fixture(autouse=True)
+def compiling(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("preimage.model.COMPILES", True)
+
+
+def network(config: ModelConfig, size: tuple[int, int, int], batch: int, dtype: torch.dtype) -> PDVMRNN:
+    """With weights, biases and states that are not zero anywhere."""
+    model = PDVMRNN(config, Sensors(*size, ("a", "b"), (-1.0, -1.0), (1.0, 1.0)), num_sequences=batch).to(dtype)
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for value in model.parameters():
+            value += 0.1 * torch.randn(value.shape, generator=generator)
+    return model
+
+
+def start_of(model: PDVMRNN, batch: int) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(2)
+    pixels = torch.randn(batch, *model.pixel_bias.shape, generator=generator)
+    codes = torch.randn(batch, *model.code_bias.shape, generator=generator).softmax(-1)
+    return pixels.to(model.pixel_bias.dtype), codes.to(model.code_bias.dtype)
+
+
+def by_torch(model: PDVMRNN, start: tuple[Tensor, Tensor]) -> Generated:
+    """The same loop, that the model does not recognise as one it may compile."""
+    intention = model.intention_table.intentions()
+    return model._generate(intention, start, NUM_STEPS, lambda step, predicted: predicted, None)
+
+
+def compiled(model: PDVMRNN, start: tuple[Tensor, Tensor]) -> Generated:
+    assert model._is_compiled(start, None)
+    return model.generate_closed_loop(model.intention_table.intentions(), start, num_steps=NUM_STEPS)
+
+
+def answers(model: PDVMRNN, batch: int, loop: Callable[[PDVMRNN, tuple[Tensor, Tensor]], Generated]) -> dict[str, Tensor | None]:
+    """What is predicted, and the gradients of a sum of it with arbitrary weights."""
+    model.zero_grad()
+    start = tuple(part.requires_grad_() for part in start_of(model, batch))
+    generated = loop(model, start)
+    generator = torch.Generator().manual_seed(3)
+    parts = generated.pixels, generated.log_codes
+    sum((part * torch.randn(part.shape, generator=generator).to(part)).sum() for part in parts).backward()
+    told = {"pixels": parts[0].detach(), "log codes": parts[1].detach(), "start": start[0].grad, "start codes": start[1].grad}
+    return told | {name: value.grad for name, value in model.named_parameters()}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_values_and_gradients_are_those_of_torch(case: str) -> None:
+    config, size, batch = CASES[case]
+    model = network(config, size, batch, torch.float64)
+    expected = answers(model, batch, by_torch)
+    assert [name for name, value in expected.items() if value is None] == ["intention_table.log_deviation"]
+    torch.testing.assert_close(answers(model, batch, compiled), expected, rtol=1e-10, atol=1e-10)
+
+
+def test_single_precision_rounds_as_it_should() -> None:
+    model = network(THREE_LEVELS, (32, 16, 3), 2, torch.float32)
+    told = answers(model, 2, compiled)
+    exact = answers(deepcopy(model).double(), 2, by_torch)
+    for name, value in exact.items():
+        if value is None:
+            assert told[name] is None
+            continue
+        torch.testing.assert_close(told[name], value.float(), rtol=0, atol=1e-5 * max(1.0, value.abs().max().item()), msg=name)
+
+
+def test_frozen_weights_get_no_gradient_and_the_intention_the_same() -> None:
+    model = network(ModelConfig.tiny(), (16, 16, 1), 3, torch.float64)
+    expected = answers(model, 3, by_torch)
+    for name, value in model.named_parameters():
+        value.requires_grad_(name.startswith("intention_table."))
+    told = answers(model, 3, compiled)
+    kept = {name for name, value in model.named_parameters() if not value.requires_grad}
+    assert all(told.pop(name) is None and expected.pop(name) is not None for name in kept)
+    torch.testing.assert_close(told, expected, rtol=1e-10, atol=1e-10)
+
+
+def test_without_gradients_the_same_is_imagined_in_two_steps_memory() -> None:
+    model = network(THREE_LEVELS, (32, 16, 1), 2, torch.float64)
+    with torch.no_grad():
+        bare, told = by_torch(model, start_of(model, 2)), compiled(model, start_of(model, 2))
+    torch.testing.assert_close(told.pixels, bare.pixels, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(told.log_codes, bare.log_codes, rtol=1e-10, atol=1e-10)
+    assert not told.pixels.requires_grad
+
+
+def test_where_no_folder_can_be_written_to_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    from numba.core import caching
+
+    from preimage.planes import keeps_code
+
+    assert keeps_code()
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+    assert not keeps_code()
+
+
+def test_a_training_goes_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    demonstrations, config = [make_demonstration(seed, size=(16, 16, 1)) for seed in range(3)], TrainConfig(updates=3, precision="float32")
+    quick = train(demonstrations, ModelConfig.tiny(), config=config)
+    monkeypatch.setattr("preimage.model.COMPILES", False)
+    slow = train(demonstrations, ModelConfig.tiny(), config=config)
+    for name, value in slow.state_dict().items():
+        torch.testing.assert_close(quick.state_dict()[name], value, rtol=1e-3, atol=1e-3, msg=name)
+
+
+def test_what_it_cannot_or_need_not_do_is_left_to_torch() -> None:
+    model, keypoints = PDVMRNN(ModelConfig.tiny(), SMALL), PDVMRNN(ModelConfig(keypoints=2, vision_channels=(6, 8, 8)), SMALL)
+    start = start_of(model, 1)
+    assert model._is_compiled(start, torch.float32)
+    assert model._is_compiled(start, torch.bfloat16), "in single precision, which is more"
+    assert not model._is_compiled(start, torch.float64)
+    assert not model._is_compiled((start[0].double(), start[1]), None)
+    assert not keypoints._is_compiled(start, None)
+    assert not PDVMRNN(ModelConfig.paper(), SMALL)._is_compiled(start, None)
+    assert imagined(0, start) is start
