@@ -24,6 +24,7 @@ ORDER = [
     "plain_folder",
     "dataset",
     "examination",
+    "maps",
     "cells",
     "lanes",
     "planes",
@@ -69,6 +70,7 @@ ORDER = [
 ]
 WALLS = {  # room -> what it never imports, wherever it stands
     "robot": {"torch"},
+    "maps": {"mujoco"},
     "cells": {"mujoco"},
     "lanes": {"torch"},
     "planes": {"torch"},

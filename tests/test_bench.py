@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from preimage.bench import PEER, PEER_CONFIG, Work, flops_of_step, limit_gflops, timed_training
-from preimage.cells import Conv, Linear
+from preimage.maps import Conv, Linear
 from preimage.model import PDVMRNN
 from preimage.sizes import ModelConfig, Sensors
 

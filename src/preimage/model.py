@@ -31,10 +31,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from preimage.blurring import BLUR, arrived, blurred
-from preimage.cells import LSTM, ConvLSTM, Down, Lateral, Linear, State, Up
+from preimage.cells import LSTM, ConvLSTM, Down, Lateral, State, Up
 from preimage.coding import JointCoding
 from preimage.devices import Recorded
 from preimage.intention import FreeTable, IntentionState, IntentionTable, LatentTable, unflatten
+from preimage.maps import Linear
 from preimage.sizes import ModelConfig, Sensors, check_sizes
 from preimage.switches import MOST
 

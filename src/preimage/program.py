@@ -30,8 +30,9 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from preimage.cells import Conv, State, depth_to_space, space_to_depth
+from preimage.cells import State, depth_to_space, space_to_depth
 from preimage.compiled import APPLY, CONVOLVE, ENCODE, GATE, OPERATION, SPREAD, SQUASH, go_backward, go_forward
+from preimage.maps import Conv
 from preimage.planes import TILE
 
 
