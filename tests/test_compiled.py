@@ -110,6 +110,17 @@ def test_without_gradients_the_same_is_imagined_in_two_steps_memory() -> None:
     assert not told.pixels.requires_grad
 
 
+@pytest.mark.parametrize("where", ["weights", "start"])
+def test_what_is_not_finite_comes_to_light(where: str) -> None:
+    model = network(ModelConfig.tiny(), (16, 16, 1), 1, torch.float32)
+    start = start_of(model, 1)
+    with torch.no_grad():
+        (model.to_codes.weight if where == "weights" else start[0])[0, 0] = torch.nan
+        told = compiled(model, start)
+    assert not told.pixels.isfinite().any()
+    assert not told.log_codes.isfinite().any()
+
+
 def test_where_no_folder_can_be_written_to_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     from numba.core import caching
 

@@ -264,6 +264,8 @@ class ClosedLoop(torch.autograd.Function):
         predicted = [weights.new_empty(len(places), num_steps, places.shape[1]) for places in program.read]
         stretches = weights.new_empty(num_steps + 1 if recorded else 2, program.length)
         go_forward(*program.lists, *(each.detach().numpy() for each in (weights, stretches, begun, *predicted)))
+        if not (weights.isfinite().all() and begun.isfinite().all()):  # of which fast arithmetic knows nothing
+            predicted = [each.fill_(torch.nan) for each in predicted]
         ctx.program = program
         ctx.save_for_backward(weights, stretches)
         return tuple(predicted)
