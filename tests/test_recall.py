@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from preimage.recall import recall
+from preimage.recall import JUDGES, recall
 
 
 def endings(count: int = 40, noise: float = 0.0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -34,6 +34,13 @@ def test_the_deviation_is_that_of_the_noise(noise: float) -> None:
     features, values = endings(200, noise)
     recalled = recall([(amid, features)], values)
     assert recalled.deviation == pytest.approx(torch.full((2,), noise).numpy(), rel=0.3)
+
+
+def test_of_many_endings_all_are_asked_and_few_choose_how() -> None:
+    """Among as many again as may choose, every other, what is wanted is one of those that do not."""
+    features, values = endings(2 * JUDGES)
+    recalled = recall([(torch.zeros(4), torch.zeros_like(features)), (features[7], features)], values)
+    assert recalled.mean == pytest.approx(values[7].numpy(), abs=1e-3)
 
 
 def test_what_lies_beyond_all_endings_is_told_less_surely() -> None:

@@ -22,6 +22,8 @@ SCALES = (1.0, 3.0, 10.0, 30.0)
 """Squared lengths of the kernel that are tried, in median squared distances of the endings."""
 NOISES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 """Variances of the noise that are tried, beside the kernel's 1."""
+JUDGES = 200
+"""Endings by which view, scale and noise are chosen: so many of them evenly, where there are more, for it takes their number cubed."""
 
 View = tuple[Float[Tensor, " _"], Float[Tensor, "N _"]]
 """What is looked at: the wanted features, and those of the endings."""
@@ -36,39 +38,58 @@ class Recalled:
     """How far it may be off: as much as where one ending is recalled from all others, and more the further away those are that tell it."""
 
 
+@dataclass(frozen=True, eq=False)
+class Kriged:
+    """What one scale and one noise make of a view."""
+
+    scale: float
+    noise: float
+    recalled: Recalled
+    off: float
+    """How badly each ending is told by all others: the sum of the logarithms of the mean squares."""
+
+
 def recall(views: Sequence[View], values: Float[Tensor, "N V"]) -> Recalled:
     """The values that go with the wanted features, blended from those of N endings by that of the views that tells the endings best.
 
     Of a single ending nothing can be told but itself.
     """
-    count = len(values)
-    if count == 1:
+    if len(values) == 1:
         return Recalled(values[0], torch.full_like(values[0], torch.inf))
-    targets = torch.cat([values, values.new_zeros(1, values.shape[1])]).double().cpu()
-    tried = [told for wanted, features in views for told in krige(wanted, features, targets)]
-    mean, deviation, _ = min(tried, key=lambda told: told[2])
-    return Recalled(mean.to(values), deviation.to(values))
+    every = -(-len(values) // JUDGES)
+    tried = [(told, view) for view in views for told in krige(view[0], view[1][::every], values[::every])]
+    best, view = min(tried, key=lambda each: each[0].off)
+    if every > 1:
+        (best,) = krige(*view, values, scales=(best.scale,), noises=(best.noise,))
+    return Recalled(best.recalled.mean.to(values), best.recalled.deviation.to(values))
 
 
 def krige(
-    wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], targets: Float[Tensor, "N+1 V"]
-) -> Iterator[tuple[Float[Tensor, " V"], Float[Tensor, " V"], float]]:
-    """What each scale and noise makes of a view: mean, deviation, and how badly endings are told (sum of logarithms)."""
-    points, asked = (each.double().cpu() for each in (features, wanted[None]))  # the matrices are too small for a GPU
+    wanted: Float[Tensor, " F"],
+    features: Float[Tensor, "N F"],
+    values: Float[Tensor, "N V"],
+    *,
+    scales: Sequence[float] = SCALES,
+    noises: Sequence[float] = NOISES,
+) -> Iterator[Kriged]:
+    """What each scale and noise makes of a view, in double precision."""
+    points, asked, told = (each.double().cpu() for each in (features, wanted[None], values))  # the matrices are too small for a GPU
+    targets = torch.cat([told, told.new_zeros(1, told.shape[1])])
     distances, ways = torch.cdist(points, points).square(), torch.cdist(asked, points)[0].square()
     unit = usual(distances)
     own = torch.cat([torch.ones(len(points)), torch.zeros(1)]).double().diag()
-    for length in (scale * unit for scale in SCALES):
-        alike = bordered(1 / (1 + distances / length))
-        towards = torch.cat([1 / (1 + ways / length), torch.ones(1).double()])
-        for noise in NOISES:
+    for scale in scales:
+        alike = bordered(1 / (1 + distances / (scale * unit)))
+        towards = torch.cat([1 / (1 + ways / (scale * unit)), torch.ones(1).double()])
+        for noise in noises:
             inverse = torch.linalg.inv(alike + noise * own)
             weights = inverse @ targets  # of the endings, and the mean
             variances = 1 / inverse.diagonal()[:-1, None]  # of each ending, the others known
             off = variances * weights[:-1]
             variance = 1 + noise - towards @ inverse @ towards
             deviation = (variance * (off.square() / variances).mean(0)).clamp(min=0).sqrt()
-            yield towards @ weights, deviation, float(off.square().mean(0).clamp(min=1e-12).log().sum())
+            badness = float(off.square().mean(0).clamp(min=1e-12).log().sum())
+            yield Kriged(scale, noise, Recalled(towards @ weights, deviation), badness)
 
 
 def in_own_units(rows: Float[Tensor, "M F"]) -> Float[Tensor, "M F"]:
