@@ -23,7 +23,7 @@ SCALES = (1.0, 3.0, 10.0, 30.0)
 NOISES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 """Variances of the noise that are tried, beside the kernel's 1."""
 JUDGES = 200
-"""Endings by which view, scale and noise are chosen: so many of them evenly, where there are more, for it takes their number cubed."""
+"""Endings by which view, length and noise are chosen, the nearest where there are more: to try all takes their number cubed, each time."""
 
 View = tuple[Float[Tensor, " _"], Float[Tensor, "N _"]]
 """What is looked at: the wanted features, and those of the endings."""
@@ -40,9 +40,9 @@ class Recalled:
 
 @dataclass(frozen=True, eq=False)
 class Kriged:
-    """What one scale and one noise make of a view."""
+    """What one length of the kernel and one noise make of a view."""
 
-    scale: float
+    length: float
     noise: float
     recalled: Recalled
     off: float
@@ -56,12 +56,19 @@ def recall(views: Sequence[View], values: Float[Tensor, "N V"]) -> Recalled:
     """
     if len(values) == 1:
         return Recalled(values[0], torch.full_like(values[0], torch.inf))
-    every = -(-len(values) // JUDGES)
-    tried = [(told, view) for view in views for told in krige(view[0], view[1][::every], values[::every])]
+    tried = [(told, view) for view in views for told in krige(*nearest(*view, values))]
     best, view = min(tried, key=lambda each: each[0].off)
-    if every > 1:
-        (best,) = krige(*view, values, scales=(best.scale,), noises=(best.noise,))
+    if len(values) > JUDGES:
+        (best,) = krige(*view, values, lengths=(best.length,), noises=(best.noise,))
     return Recalled(best.recalled.mean.to(values), best.recalled.deviation.to(values))
+
+
+def nearest(
+    wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], values: Float[Tensor, "N V"]
+) -> tuple[Float[Tensor, " F"], Float[Tensor, "M F"], Float[Tensor, "M V"]]:
+    """The endings that look most like what is wanted, as many as may choose."""
+    rows = torch.cdist(wanted[None], features)[0].argsort()[:JUDGES] if len(values) > JUDGES else slice(None)
+    return wanted, features[rows], values[rows]
 
 
 def krige(
@@ -69,18 +76,17 @@ def krige(
     features: Float[Tensor, "N F"],
     values: Float[Tensor, "N V"],
     *,
-    scales: Sequence[float] = SCALES,
+    lengths: Sequence[float] | None = None,
     noises: Sequence[float] = NOISES,
 ) -> Iterator[Kriged]:
-    """What each scale and noise makes of a view, in double precision."""
+    """What each length of the kernel and each noise makes of a view, in double precision."""
     points, asked, told = (each.double().cpu() for each in (features, wanted[None], values))  # the matrices are too small for a GPU
     targets = torch.cat([told, told.new_zeros(1, told.shape[1])])
     distances, ways = torch.cdist(points, points).square(), torch.cdist(asked, points)[0].square()
-    unit = usual(distances)
     own = torch.cat([torch.ones(len(points)), torch.zeros(1)]).double().diag()
-    for scale in scales:
-        alike = bordered(1 / (1 + distances / (scale * unit)))
-        towards = torch.cat([1 / (1 + ways / (scale * unit)), torch.ones(1).double()])
+    for length in lengths or [scale * float(usual(distances)) for scale in SCALES]:
+        alike = bordered(1 / (1 + distances / length))
+        towards = torch.cat([1 / (1 + ways / length), torch.ones(1).double()])
         for noise in noises:
             inverse = torch.linalg.inv(alike + noise * own)
             weights = inverse @ targets  # of the endings, and the mean
@@ -89,7 +95,7 @@ def krige(
             variance = 1 + noise - towards @ inverse @ towards
             deviation = (variance * (off.square() / variances).mean(0)).clamp(min=0).sqrt()
             badness = float(off.square().mean(0).clamp(min=1e-12).log().sum())
-            yield Kriged(scale, noise, Recalled(towards @ weights, deviation), badness)
+            yield Kriged(length, noise, Recalled(towards @ weights, deviation), badness)
 
 
 def in_own_units(rows: Float[Tensor, "M F"]) -> Float[Tensor, "M F"]:
