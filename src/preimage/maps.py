@@ -94,7 +94,7 @@ class Linear(nn.Linear):
 
     def pack(self, weight: Tensor) -> Packed:
         """The weights in the order in which they are multiplied, once for all steps: few rows take less time than the ordering."""
-        suits = weight.dtype == torch.bfloat16 and not weight.is_cuda and weight.numel() >= LARGE
+        suits = weight.dtype == torch.bfloat16 and weight.device.type == "cpu" and weight.numel() >= LARGE
         # torch's own compiler is who calls these otherwise, so that a later torch may not have them.
         if not suits or not hasattr(torch.ops.mkldnn, "_reorder_linear_weight") or not torch.ops.mkldnn._is_mkldnn_bf16_supported():
             return None
