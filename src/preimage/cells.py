@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from preimage.maps import Conv, Linear, Map, Step, Tape, prepared
+from preimage.maps import Conv, Linear, Map, Step, Tape, prepared, room
 
 State = tuple[Tensor, Tensor]
 """Hidden state h and cell state c of one layer, each (B, units) or (B, channels, height, width)."""
@@ -62,11 +62,8 @@ class CellStep(torch.autograd.Function):
         torch.ops.aten.sigmoid_backward(back[:3], opened[:3], grad_input=back[:3])
         torch.ops.aten.tanh_backward(back[3], opened[3], grad_input=back[3])
         (entered,) = kept or (ctx.tape.at(ctx.number),)
-        of_gates = torch.empty(
-            len(cell), 4 * cell.shape[1], *cell.shape[2:], dtype=weight.dtype, device=weight.device, memory_format=ctx.layer.layout
-        )
-        if ctx.tape:
-            of_gates = ctx.tape.room_for(ctx.number, of_gates)
+        shape = len(cell), 4 * cell.shape[1], *cell.shape[2:]
+        of_gates = ctx.tape.room_for(ctx.number, shape) if ctx.tape else room(shape, entered, ctx.layer.layout)
         of_gates.movedim(1, -1).unflatten(-1, (4, -1)).movedim(-2, 0).copy_(back)
         of_inputs = ctx.layer.input_gradient(of_gates, entered, weight, ctx.tape and ctx.tape.packed)
         return of_cell * keep, None, None, None, None, *of_inputs.split(ctx.channels, dim=1)

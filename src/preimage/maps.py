@@ -54,7 +54,8 @@ class Tape:
         """The parts joined along dimension 1, which is the input of a new step, and the number of that step."""
         number, self.num_entered = self.num_entered, self.num_entered + 1
         if self.entered is None:
-            self.entered = self._room(parts[0], sum(part.shape[1] for part in parts))
+            batch, _, *size = parts[0].shape
+            self.entered = self._room((batch, sum(part.shape[1] for part in parts), *size), parts[0])
         return torch.cat(list(parts), dim=1, out=self.at(number)), number
 
     def at(self, number: int) -> Tensor:
@@ -62,10 +63,11 @@ class Tape:
         assert self.entered is not None
         return self.entered.unflatten(0, (self.num_steps, -1))[number]
 
-    def room_for(self, number: int, like: Tensor) -> Tensor:
-        """Where the gradient that comes back to the output of a step is to be written."""
+    def room_for(self, number: int, shape: Sequence[int]) -> Tensor:
+        """Where the gradient that comes back to the output of a step, which is of this shape, is to be written."""
         if self.returned is None:
-            self.returned = self._room(like, like.shape[1])
+            assert self.entered is not None
+            self.returned = self._room(shape, self.entered)
         self.steps_returned.add(number)
         return self.returned.unflatten(0, (self.num_steps, -1))[number]
 
@@ -78,9 +80,13 @@ class Tape:
             self.returned.unflatten(0, (self.num_steps, -1))[number].zero_()
         return self.entered[:rows], self.returned[:rows]
 
-    def _room(self, like: Tensor, channels: int) -> Tensor:
-        size = self.num_steps * len(like), channels, *like.shape[2:]
-        return torch.empty(size, dtype=like.dtype, device=like.device, memory_format=self.layout)
+    def _room(self, shape: Sequence[int], like: Tensor) -> Tensor:
+        return room((self.num_steps * shape[0], *shape[1:]), like, self.layout)
+
+
+def room(shape: Sequence[int], like: Tensor, layout: torch.memory_format) -> Tensor:
+    """A tensor to be written into, of the precision and in the place of another."""
+    return torch.empty(shape, dtype=like.dtype, device=like.device, memory_format=layout)
 
 
 class Linear(nn.Linear):
@@ -205,6 +211,6 @@ class MapStep(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         (weight,) = ctx.saved_tensors
-        returned = ctx.tape.room_for(ctx.number, gradient).copy_(gradient)
+        returned = ctx.tape.room_for(ctx.number, gradient.shape).copy_(gradient)
         back = ctx.layer.input_gradient(returned, ctx.tape.at(ctx.number), weight, ctx.tape.packed) if ctx.needs_input_grad[0] else None
         return back, None, None, None, None

@@ -166,17 +166,17 @@ def speed_table(found: Results) -> str:
     """What `preimage bench` measured."""
     rows = []
     for one in found:
+        device = f"cpu, threads: {one['threads']}" if one.get("device") == "cpu" else one.get("device", "")
         for name, work in one.get("train", {}).items() if "limit_gflops" in one else ():
             share = f"{work['fraction_of_limit']:.0%}"
-            rows.append(
-                [one["device"], f"train {name}", f"{work['seq_steps_per_s']} sequence steps/s", share, f"{work['peak_memory_mb']:.0f} MB"]
-            )
+            told, memory = f"{work['seq_steps_per_s']} sequence steps/s", f"{work['peak_memory_mb']:.0f} MB"
+            rows.append([device, f"train {name}", told, share, memory])
         for name, work in one.get("plan", {}).items() if "limit_gflops" in one else ():
             told = f"{work['ms_per_iteration']} ms an iteration"
             if "warm_s" in work:
                 spread = f"mean {work['warm_s_mean']}, longest {work['warm_s_longest']}"
                 told = f"{work['warm_s']} s warm ({spread}), {work['cold_s']} s cold, {told}"
-            rows.append([one["device"], f"plan {name}", told, "", ""])
+            rows.append([device, f"plan {name}", told, "", ""])
     return table("Speed", ["device", "work", "measured", "share of the machine's limit", "memory"], rows)
 
 
