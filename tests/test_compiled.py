@@ -13,6 +13,7 @@ from preimage.sizes import ModelConfig, Sensors
 from preimage.training import TrainConfig, train
 
 pytest.importorskip("numba")
+pytestmark = pytest.mark.slow  # the first time on a machine it is all compiled, in half a minute
 
 THREE_LEVELS = ModelConfig(vision_channels=(5, 6, 8), motor_units=(9, 8, 7), top_channels=6, lateral_channels=2, seen_channels=3)
 CASES = {
