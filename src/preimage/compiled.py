@@ -41,11 +41,11 @@ def read(places, numbers, tensor):
 
 
 @njit(**HOW)
-def come_back(places, of_numbers, of_tensor):
+def add_to(places, numbers, tensor):
     """The way back of `read`."""
     for row in range(len(places)):
         for i in range(places.shape[1]):
-            of_numbers[places[row, i]] += of_tensor[row, i]
+            numbers[places[row, i]] += tensor[row, i]
 
 
 @njit(**HOW)
@@ -174,7 +174,7 @@ def four(numbers, first, size):
 
 @njit(**HOW)
 def open_gates(op, now, before):
-    """The LSTM equations after the linear part (`cells.Gate`); what the way back needs stays where it is."""
+    """The LSTM equations after the linear part (`cells.CellStep`); what the way back needs stays where it is."""
     size = op.outputs * op.size
     admit, keep, show, candidate = four(now, op.source, size)
     sigmoids, half = now[op.source : op.source + 3 * size], now.dtype.type(0.5)
@@ -263,8 +263,7 @@ def encode_back(op, now, of_now, of_weights):
 def go_forward(operations, cleared, moves, begun_at, pixels_at, codes_at, weights, stretches, begun, pixels, log_codes):
     """All steps; the stretches are used in turn where there are fewer than steps."""
     stretches[0] = 0
-    for i in range(len(begun)):
-        stretches[0, begun_at[i]] = begun[i]
+    add_to(begun_at, stretches[0], begun)
     for step in range(pixels.shape[1]):
         before, now = stretches[step % len(stretches)], stretches[(step + 1) % len(stretches)]
         now[cleared:] = 0
@@ -297,8 +296,8 @@ def go_backward(
     for step in range(of_pixels.shape[1] - 1, -1, -1):
         before, now = stretches[step], stretches[step + 1]
         of_before[cleared:] = 0
-        come_back(pixels_at, of_now, of_pixels[:, step])
-        come_back(codes_at, of_now, of_codes[:, step])
+        add_to(pixels_at, of_now, of_pixels[:, step])
+        add_to(codes_at, of_now, of_codes[:, step])
         for line in range(len(operations) - 1, -1, -1):
             op = operations[line]
             x, of_x = (now, of_now) if op.source_now else (before, of_before)
@@ -318,5 +317,4 @@ def go_backward(
             else:
                 encode_back(op, now, of_now, of_weights)
         of_now, of_before = of_before, of_now
-    for i in range(len(begun_at)):
-        of_begun[i] = of_now[begun_at[i]]
+    read(begun_at, of_now, of_begun)

@@ -61,7 +61,7 @@ class Tape:
     def at(self, number: int) -> Tensor:
         """What entered at a step."""
         assert self.entered is not None
-        return self.entered.unflatten(0, (self.num_steps, -1))[number]
+        return self._step(self.entered, number)
 
     def room_for(self, number: int, shape: Sequence[int]) -> Tensor:
         """Where the gradient that comes back to the output of a step, which is of this shape, is to be written."""
@@ -69,7 +69,7 @@ class Tape:
             assert self.entered is not None
             self.returned = self._room(shape, self.entered)
         self.steps_returned.add(number)
-        return self.returned.unflatten(0, (self.num_steps, -1))[number]
+        return self._step(self.returned, number)
 
     def whole(self) -> tuple[Tensor, Tensor] | None:
         """All inputs and all gradients, (steps * B, ...); a step to which nothing came back counts as zero."""
@@ -77,8 +77,11 @@ class Tape:
             return None
         rows = self.num_entered * (len(self.entered) // self.num_steps)
         for number in set(range(self.num_entered)) - self.steps_returned:
-            self.returned.unflatten(0, (self.num_steps, -1))[number].zero_()
+            self._step(self.returned, number).zero_()
         return self.entered[:rows], self.returned[:rows]
+
+    def _step(self, steps: Tensor, number: int) -> Tensor:
+        return steps.unflatten(0, (self.num_steps, -1))[number]
 
     def _room(self, shape: Sequence[int], like: Tensor) -> Tensor:
         return room((self.num_steps * shape[0], *shape[1:]), like, self.layout)

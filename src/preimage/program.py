@@ -105,7 +105,7 @@ class Program:
         self.read = [places.int().contiguous().numpy() for places in read]
         states = [part[name].places() for name in shapes for part in (self.hidden, self.cells)]
         begun = [*states, depth_to_space(self.pixels.places()), self.codes.places()]
-        self.begun = torch.cat([places.flatten() for places in begun]).int().numpy()
+        self.begun = torch.cat([places.flatten() for places in begun])[None].int().numpy()
         self.lists = self.operations, self.cleared, self.places, self.begun, *self.read
 
     def block(self, planes: int, height: int = 0, width: int = 0) -> Block:
@@ -249,7 +249,8 @@ def closed_loop(model: Any, states: Mapping[str, State], start: tuple[Tensor, Te
     pixels, codes = start
     programs = PROGRAMS.setdefault(model, {})
     program = programs.get(len(pixels)) or programs.setdefault(len(pixels), Program(model, len(pixels)))
-    begun = torch.cat([part.flatten() for name in program.hidden for part in states[name]] + [pixels.flatten(), codes.flatten()])
+    parts = [*(part for name in program.hidden for part in states[name]), pixels, codes]
+    begun = torch.cat([part.flatten() for part in parts])[None]
     weights = weights_of(model, program)
     recorded = torch.is_grad_enabled() and (begun.requires_grad or weights.requires_grad)
     drawn, log_codes = ClosedLoop.apply(weights, begun, program, num_steps, recorded)  # pyright: ignore[reportGeneralTypeIssues]
@@ -275,7 +276,7 @@ class ClosedLoop(torch.autograd.Function):
     def backward(ctx: Any, *of_predicted: Tensor) -> tuple[Tensor | None, ...]:
         weights, stretches = ctx.saved_tensors
         learned = ctx.needs_input_grad[0]
-        of_weights, of_begun = torch.zeros_like(weights), weights.new_empty(len(ctx.program.begun))
+        of_weights, of_begun = torch.zeros_like(weights), weights.new_empty(ctx.program.begun.shape)
         given = weights, stretches, *(each.contiguous() for each in of_predicted), of_weights, of_begun
         go_backward(*ctx.program.lists, *(each.detach().numpy() for each in given), learned)
         return of_weights if learned else None, of_begun, None, None, None
