@@ -12,8 +12,8 @@ import tyro
 from PIL import Image
 
 import preimage as pi
-from preimage.coding import to_frames
-from preimage.sequences import at_rate
+from preimage.data.sequences import at_rate
+from preimage.network.coding import to_frames
 
 
 def main(out: Path = Path("demo"), seed: int = 11, quick: bool = False) -> None:

@@ -12,10 +12,10 @@ import numpy as np
 import tyro
 
 import preimage as pi
-from preimage.experiments import principal_plane, rank_correlation
+from preimage.evaluation.experiments import principal_plane, rank_correlation
 from preimage.report.charts import intention_map
 from preimage.robot import forward_kinematics
-from preimage.runs import find_run
+from preimage.storage.runs import find_run
 
 
 def main(out: Path = Path("demo"), novel: int = 8, seed: int = 21, quick: bool = False) -> None:

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from preimage.model import PDVMRNN
-from preimage.planning import as_inputs
-from preimage.prediction_error import ToGoal
+from preimage.method.plan import as_inputs
+from preimage.method.prediction_error import ToGoal
+from preimage.method.train import TrainConfig, train
+from preimage.network.config import ModelConfig
+from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Demonstration
-from preimage.sizes import ModelConfig
-from preimage.training import TrainConfig, train
 
 
 def bar(far: float, num_steps: int = 6) -> Demonstration:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from preimage.arrival import SURE, End, bent_to
-from preimage.coding import JointCoding
-from preimage.prediction_error import ExpectedJoints
+from preimage.ideas.end_correction import SURE, End, bent_to
+from preimage.method.prediction_error import ExpectedJoints
+from preimage.network.coding import JointCoding
 
 CODING = JointCoding(torch.tensor([-1.0, -2.0]), torch.tensor([1.0, 2.0]), 10)
 ARRIVAL = 6

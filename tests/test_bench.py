@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from preimage.bench import PEER, PEER_CONFIG, Work, flops_of_step, limit_gflops, timed_training
-from preimage.maps import Conv, Linear
-from preimage.model import PDVMRNN
-from preimage.sizes import ModelConfig, Sensors
+from preimage.evaluation.bench import PEER, PEER_CONFIG, Work, flops_of_step, limit_gflops, timed_training
+from preimage.network.config import ModelConfig, Sensors
+from preimage.network.linear import Conv, Linear
+from preimage.network.pdvmrnn import PDVMRNN
 
 SENSORS = Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0))
 

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from preimage.blending import Blends, draw_blends
-from preimage.intention import IntentionState
-from preimage.sequences import Sequences
+from preimage.data.sequences import Sequences
+from preimage.ideas.mixup import Blends, draw_blends
+from preimage.network.intention import IntentionState
 
 
 def sequences() -> Sequences:

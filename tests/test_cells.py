@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import nn
 
-from preimage.cells import LSTM, ConvLSTM, Lateral, depth_to_space, expected_places, space_to_depth
-from preimage.maps import Conv, Linear
+from preimage.network.cells import LSTM, ConvLSTM, Lateral, depth_to_space, expected_places, space_to_depth
+from preimage.network.linear import Conv, Linear
 
 
 def cell_of_torch(linear: Linear) -> nn.LSTMCell:

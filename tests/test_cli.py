@@ -13,8 +13,8 @@ import preimage
 from conftest import make_demonstration
 from preimage import cli
 from preimage.cli import learning
-from preimage.dataset import describe
-from preimage.runs import BUNDLED, find_run
+from preimage.data.dataset import describe
+from preimage.storage.runs import BUNDLED, find_run
 
 QUICK = ["--iterations", "2", "--horizon", "4"]
 
@@ -163,7 +163,7 @@ FULL_DISK = """
 import resource, sys
 from preimage import cli
 from preimage.cli import learning
-import preimage.training as training
+import preimage.method.train as training
 
 def fill(told):
     if told.update == 2:

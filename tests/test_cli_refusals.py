@@ -10,7 +10,7 @@ from PIL import Image
 
 from conftest import make_demonstration
 from preimage import cli
-from preimage.dataset import save
+from preimage.data.dataset import save
 from recordings import DATA, edit_json
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from jaxtyping import TypeCheckError
 
-from preimage.coding import JointCoding, to_frames, to_pixels
+from preimage.network.coding import JointCoding, to_frames, to_pixels
 
 ROUND_TRIP = 0.003
 """Largest error, as a share of [-1, 1] scaled angles."""

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from conftest import make_demonstration
-from preimage.model import PDVMRNN, Generated, imagined
-from preimage.sizes import ModelConfig, Sensors
-from preimage.training import TrainConfig, train
+from preimage.method.train import TrainConfig, train
+from preimage.network.config import ModelConfig, Sensors
+from preimage.network.pdvmrnn import PDVMRNN, Generated, imagined
 
 pytest.importorskip("numba")
 pytestmark = pytest.mark.slow  # the first time on a machine it is all compiled, in half a minute
@@ -28,7 +28,7 @@ SMALL = Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0))
 
 @pytest.fixture(autouse=True)
 def compiling(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("preimage.model.COMPILES", True)
+    monkeypatch.setattr("preimage.network.pdvmrnn.COMPILES", True)
 
 
 def network(config: ModelConfig, size: tuple[int, int, int], batch: int, dtype: torch.dtype) -> PDVMRNN:
@@ -125,7 +125,7 @@ def test_what_is_not_finite_comes_to_light(where: str) -> None:
 def test_where_no_folder_can_be_written_to_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     from numba.core import caching
 
-    from preimage.planes import keeps_code
+    from preimage.fast.planes import keeps_code
 
     assert keeps_code()
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
@@ -135,7 +135,7 @@ def test_where_no_folder_can_be_written_to_nothing_is_kept(monkeypatch: pytest.M
 def test_a_training_goes_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
     demonstrations, config = [make_demonstration(seed, size=(16, 16, 1)) for seed in range(3)], TrainConfig(updates=3, precision="float32")
     quick = train(demonstrations, ModelConfig.tiny(), config=config)
-    monkeypatch.setattr("preimage.model.COMPILES", False)
+    monkeypatch.setattr("preimage.network.pdvmrnn.COMPILES", False)
     slow = train(demonstrations, ModelConfig.tiny(), config=config)
     for name, value in slow.state_dict().items():
         torch.testing.assert_close(quick.state_dict()[name], value, rtol=1e-3, atol=1e-3, msg=name)

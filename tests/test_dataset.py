@@ -10,10 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from preimage.dataset import fingerprint, load, open_recordings, read_episodes, save
+from preimage.data.dataset import fingerprint, load, open_recordings, read_episodes, save
+from preimage.data.view import View
 from preimage.records import Demonstration
-from preimage.runs import tuples
-from preimage.view import View
+from preimage.storage.runs import tuples
 from recordings import (
     CAMERA,
     DATA,

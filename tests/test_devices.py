@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from preimage.devices import CPU, place_of
-from preimage.model import PDVMRNN
-from preimage.planning import imagine_library
-from preimage.processes import Crew
-from preimage.sizes import ModelConfig
-from preimage.training import train
+from preimage.compute.devices import CPU, place_of
+from preimage.compute.processes import Crew
+from preimage.method.plan import imagine_library
+from preimage.method.train import train
+from preimage.network.config import ModelConfig
+from preimage.network.pdvmrnn import PDVMRNN
 from test_training import CONFIG, demonstrations, weights
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")

@@ -23,7 +23,7 @@ class OwnFinder(doctest.DocTestFinder):
 @pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_examples(path):
     parts = path.relative_to(ROOT.parent).with_suffix("").parts
-    if path.name == "environments.py":
+    if path.name == "gym.py":
         pytest.importorskip("gymnasium")
     if path.name in ("lanes.py", "planes.py", "compiled.py", "program.py"):
         pytest.importorskip("numba")

@@ -7,8 +7,8 @@ gymnasium = pytest.importorskip("gymnasium")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from preimage.environments import name_of  # noqa: E402
 from preimage.robot import TASKS, Arm, record  # noqa: E402
+from preimage.robot.gym import name_of  # noqa: E402
 
 NAMES = [name_of(task) for task in TASKS]
 

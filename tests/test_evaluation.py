@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from preimage.evaluation import Evaluated, count, goal_of, nearest_shown, result_of, straight_through, wilson_interval
-from preimage.planning import PlanConfig
+from preimage.evaluation.evaluate import Evaluated, count, goal_of, nearest_shown, result_of, straight_through, wilson_interval
+from preimage.method.plan import PlanConfig
 from preimage.records import Plan, Shown, Stopped, Trial
 
 

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from preimage.execution import execute, execute_open_loop, limits_of, play
-from preimage.limits import Limits, within_limits
 from preimage.records import Percept, Plan, Stopped
 from preimage.robot import TASKS, Arm, MoveObject, Reach, forward_kinematics, record, with_frames
+from preimage.robot.execution import execute, execute_open_loop, limits_of, play
+from preimage.robot.limits import Limits, within_limits
 
 LIMITS = Limits(("yaw", "gripper"), ("rad", "m"), np.array([-1.0, 0.0]), np.array([1.0, 0.04]), np.array([2.0, 0.1]))
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from preimage.experiments import SIZES, Cell, cells_of, goals_of, network_of, principal_plane, rank_correlation, reproduce
-from preimage.model import PDVMRNN
+from preimage.evaluation.experiments import SIZES, Cell, cells_of, goals_of, network_of, principal_plane, rank_correlation, reproduce
+from preimage.network.config import ModelConfig, Sensors
+from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Demonstration
 from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS
-from preimage.sizes import ModelConfig, Sensors
 
 
 def test_all_cells_of_the_paper() -> None:

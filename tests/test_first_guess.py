@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from bars import bar
-from preimage.first_guess import begins_as_shown, expected_joints
-from preimage.model import PDVMRNN
-from preimage.planning import PlanConfig, as_inputs, imagine_library
-from preimage.prediction_error import ToGoal
+from preimage.ideas.memory import begins_as_shown, expected_joints
+from preimage.method.plan import PlanConfig, as_inputs, imagine_library
+from preimage.method.prediction_error import ToGoal
+from preimage.method.train import TrainConfig, train
+from preimage.network.config import ModelConfig
+from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Demonstration
-from preimage.sizes import ModelConfig
-from preimage.training import TrainConfig, train
 
 CONFIG = PlanConfig(precision="float32", glance=0.0)
 

@@ -11,9 +11,20 @@ from hypothesis import strategies as st
 import preimage
 from conftest import make_demonstration
 from preimage import cli
-from preimage.dataset import fingerprint
-from preimage.held_out import Way, compare, errors_of, every_nth, lines_of, moments, never_shown, result_of_comparison, way_of, write_films
-from preimage.planning import PlanConfig
+from preimage.data.dataset import fingerprint
+from preimage.evaluation.held_out import (
+    Way,
+    compare,
+    errors_of,
+    every_nth,
+    lines_of,
+    moments,
+    never_shown,
+    result_of_comparison,
+    way_of,
+    write_films,
+)
+from preimage.method.plan import PlanConfig
 from preimage.records import Percept, Plan, Shown, Stopped
 from preimage.report.results import evaluations_among, held_out_table
 

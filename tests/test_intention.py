@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from preimage.intention import FreeTable, IntentionTable, LatentTable, unflatten
+from preimage.network.intention import FreeTable, IntentionTable, LatentTable, unflatten
 
 SHAPES = {"top": (2, 4, 4), "motor1": (5,)}
 

@@ -7,8 +7,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from preimage.dataset import describe, load, save
-from preimage.view import View
+from preimage.data.dataset import describe, load, save
+from preimage.data.view import View
 from recordings import (
     CAMERA,
     DATA,

@@ -8,8 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from preimage.dataset import describe, load
-from preimage.view import View
+from preimage.data.dataset import describe, load
+from preimage.data.view import View
 from recordings import (
     CAMERA,
     INDEX,

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from preimage.dataset import load, save
+from preimage.data.dataset import load, save
 from recordings import (
     CAMERA,
     DATA,

@@ -2,7 +2,7 @@
 
 import platform
 
-from preimage.memory import keep_freed_memory
+from preimage.compute.freed_memory import keep_freed_memory
 
 
 def test_glibc_keeps_what_is_freed_and_others_are_left_alone() -> None:

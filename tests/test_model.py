@@ -2,8 +2,8 @@
 
 import torch
 
-from preimage.model import PDVMRNN, Generated, Inputs, InputSequence
-from preimage.sizes import ModelConfig, Sensors
+from preimage.network.config import ModelConfig, Sensors
+from preimage.network.pdvmrnn import PDVMRNN, Generated, Inputs, InputSequence
 
 SENSORS = Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0))
 

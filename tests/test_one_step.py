@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from bars import bar, tiny_double
-from preimage.intention import unflatten
-from preimage.model import PDVMRNN
-from preimage.one_step import follow
-from preimage.planning import PlanConfig, as_inputs, imagine_without_goal, plan
+from preimage.ideas.test_time_augmentation import glances
+from preimage.method.one_step import follow
+from preimage.method.plan import PlanConfig, as_inputs, imagine_without_goal, plan
+from preimage.network.intention import unflatten
+from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Percept
-from preimage.shifting import glances
 
 SHOWN = bar(0.6)
 

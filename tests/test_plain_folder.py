@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from preimage.dataset import describe, load, read_episodes
-from preimage.view import View
+from preimage.data.dataset import describe, load, read_episodes
+from preimage.data.view import View
 from recordings import NAMES, joints_of, shade, write_plain
 
 

@@ -8,13 +8,12 @@ import pytest
 import torch
 
 from bars import bar, objective, objective_to
-from preimage.arrival import End
-from preimage.coding import to_frames
-from preimage.first_guess import expected_joints
-from preimage.intention import unflatten
-from preimage.legs import join, plan_in_turn
-from preimage.model import PDVMRNN, Generated, InputSequence
-from preimage.planning import (
+from preimage.ideas.end_correction import End
+from preimage.ideas.memory import expected_joints
+from preimage.ideas.test_time_augmentation import glances
+from preimage.ideas.waypoints import join, plan_in_turn
+from preimage.method.error_regression import Places, regress_intention, slopes_among
+from preimage.method.plan import (
     PlanConfig,
     as_inputs,
     imagine,
@@ -24,12 +23,13 @@ from preimage.planning import (
     plan,
     recognise,
 )
-from preimage.prediction_error import WIDER, ExpectedJoints, ToGoal, ToSequence
+from preimage.method.prediction_error import WIDER, ExpectedJoints, ToGoal, ToSequence
+from preimage.method.train import TrainConfig, train
+from preimage.network.coding import to_frames
+from preimage.network.config import ModelConfig
+from preimage.network.intention import unflatten
+from preimage.network.pdvmrnn import PDVMRNN, Generated, InputSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
-from preimage.regression import Places, regress_intention, slopes_among
-from preimage.shifting import glances
-from preimage.sizes import ModelConfig
-from preimage.training import TrainConfig, train
 
 CONFIG = PlanConfig(precision="float32", glance=0.0, enough=0.0)
 DESCEND = replace(CONFIG, method="descend")
@@ -233,7 +233,7 @@ def test_a_plan_in_doubt_tries_the_other_first_guesses(model: PDVMRNN, monkeypat
         tried.append(len(coordinates))
         return regress_intention(space, coordinates, *rest, **config)
 
-    monkeypatch.setattr("preimage.planning.regress_intention", counted)
+    monkeypatch.setattr("preimage.method.plan.regress_intention", counted)
     shown = bar(0.7)
     plan(model, start=shown.first, goal=shown.last, config=replace(CONFIG, doubt=doubt, candidates=2, guesses=6, iterations=2))
     assert tried == searches

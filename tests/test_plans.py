@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from preimage.dataset import load
-from preimage.plans import load_plan, save_episode, save_plan
+from preimage.data.dataset import load
 from preimage.records import Percept, Plan, Scene, Stopped
+from preimage.storage.plans import load_plan, save_episode, save_plan
 
 SCENE = Scene("reach", (0.1, -0.2), {"goal": (0.5, 0.25, 0.03)})
 

@@ -7,8 +7,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from preimage.model import Generated
-from preimage.prediction_error import VISUAL_WEIGHT, SequenceError, arrival_step, proprioceptive_error, sequence_error, visual_error
+from preimage.method.prediction_error import VISUAL_WEIGHT, SequenceError, arrival_step, proprioceptive_error, sequence_error, visual_error
+from preimage.network.pdvmrnn import Generated
 
 distributions = st.lists(st.floats(0.01, 1), min_size=4, max_size=4).map(lambda shares: torch.tensor(shares).double() / sum(shares))
 

@@ -11,15 +11,15 @@ from typing import Any
 import pytest
 import torch
 
-from preimage.evaluation import evaluate
-from preimage.model import PDVMRNN
-from preimage.planning import PlanConfig
-from preimage.processes import Crew, ProcessLost, gather
+from preimage.compute.processes import Crew, ProcessLost, gather
+from preimage.data.sequences import sensors_of
+from preimage.evaluation.evaluate import evaluate
+from preimage.method.plan import PlanConfig
+from preimage.method.train import Progress, train
+from preimage.network.config import ModelConfig
+from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Shown
 from preimage.robot import TASKS, Arm, record
-from preimage.sequences import sensors_of
-from preimage.sizes import ModelConfig
-from preimage.training import Progress, train
 from test_training import CONFIG, demonstrations, weights
 
 CASES = {"latent": ModelConfig.tiny(), "free": replace(ModelConfig.tiny(), intention_dimensions=None, intention_noise=0.1)}

@@ -10,7 +10,7 @@ import pytest
 
 import preimage
 from preimage import cli
-from preimage.runs import BUNDLED
+from preimage.storage.runs import BUNDLED
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from preimage.recall import JUDGES, recall
+from preimage.ideas.kriging import JUDGES, recall
 
 
 def endings(count: int = 40, noise: float = 0.0) -> tuple[torch.Tensor, torch.Tensor]:

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from bars import objective, tiny_double
-from preimage.planning import PlanConfig, imagine
-from preimage.regression import Places, leaps_from, learn_from_leap, regress_intention
+from preimage.method.error_regression import Places, leaps_from, learn_from_leap, regress_intention
+from preimage.method.plan import PlanConfig, imagine
 
 
 @pytest.mark.parametrize("dimensions", [4, None])

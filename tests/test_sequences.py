@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import make_demonstration
+from preimage.data.sequences import at_rate, pad, sensors_of
 from preimage.records import Demonstration
-from preimage.sequences import at_rate, pad, sensors_of
 
 SMALL = (8, 8, 1)
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from preimage.shifting import glances, shifted
+from preimage.ideas.test_time_augmentation import glances, shifted
 
 
 def pictures(count: int = 1) -> torch.Tensor:

@@ -8,10 +8,11 @@ import pytest
 from PIL import Image
 
 from conftest import make_demonstration
-from preimage.dataset import save
-from preimage.runs import load_model, read_view, seen_by
-from preimage.sequences import sensors_of
-from preimage.sources import find_percept, read_image
+from preimage.data.dataset import save
+from preimage.data.sequences import sensors_of
+from preimage.data.sources import find_percept, read_image
+from preimage.data.view import seen_by
+from preimage.storage.runs import load_model, read_view
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from bars import bar
-from preimage.first_guess import expected_at_switches
-from preimage.planning import PlanConfig, as_inputs, plan, switch_steps
-from preimage.prediction_error import ToGoal
+from preimage.ideas.gripper_events import MOST, changes_side, find_switches
+from preimage.ideas.memory import expected_at_switches
+from preimage.method.plan import PlanConfig, as_inputs, plan, switch_steps
+from preimage.method.prediction_error import ToGoal
+from preimage.method.train import TrainConfig, train
+from preimage.network.config import ModelConfig
 from preimage.records import Demonstration, Percept
-from preimage.sizes import ModelConfig
-from preimage.switches import MOST, changes_side, find_switches
-from preimage.training import TrainConfig, train
 
 
 def gripping(far: float) -> Demonstration:

@@ -6,8 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from preimage.dataset import fingerprint
-from preimage.execution import play
+from preimage.data.dataset import fingerprint
 from preimage.records import Scene
 from preimage.robot import (
     TASKS,
@@ -23,6 +22,7 @@ from preimage.robot import (
     with_frames,
 )
 from preimage.robot.arm import CIRCLE_RADIUS_M, OBJECT_HEIGHT_M, OBJECT_RADIUS_M
+from preimage.robot.execution import play
 from preimage.robot.task import LARGE_TABLE_CAMERA, at_height, places_on_grid
 
 MILLIMETRE = 1e-3
@@ -189,7 +189,7 @@ def test_what_does_not_succeed_is_not_recorded(arm, monkeypatch):
 
 
 def test_a_task_beyond_the_tutor_ends_in_an_error(arm, monkeypatch):
-    monkeypatch.setattr("preimage.robot.tutor.MAX_TRIES", 2)
+    monkeypatch.setattr("preimage.robot.demonstrator.MAX_TRIES", 2)
     with pytest.raises(ValueError, match="no demonstration of reach succeeded in 2 scenes"):
         record(arm, Reach(tolerance_m=0.0), count=1, seed=0)
 

@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from preimage.execution import play
 from preimage.records import Scene
 from preimage.robot import (
     Arm,
@@ -18,6 +17,7 @@ from preimage.robot import (
     succeeds_within,
     two_points,
 )
+from preimage.robot.execution import play
 from preimage.robot.kinematics import grasping_joints, reaching_joints
 from preimage.robot.task import NEVER_M, apart_m, at_height
 from test_tasks import MILLIMETRE, scenes_of

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
-from preimage.batch_error import BatchError
+from preimage.data.sequences import pad
+from preimage.method.batch_error import BatchError
+from preimage.method.train import NonFinite, Progress, TrainConfig, begin_steps, train
+from preimage.network.config import ModelConfig
 from preimage.records import Demonstration
-from preimage.runs import load_model
-from preimage.sequences import pad
-from preimage.sizes import ModelConfig
-from preimage.training import NonFinite, Progress, TrainConfig, begin_steps, train
+from preimage.storage.runs import load_model
 
 CONFIG = TrainConfig(updates=6, batch_size=2, rest_steps=2, checkpoint_every=2, precision="float32")
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from preimage.view import View, coloured, default_size, look, moving, scaled, settled, telling_channels
+from preimage.data.view import View, coloured, default_size, look, moving, scaled, settled, telling_channels
 
 SIDES = st.integers(1, 2000)
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from preimage.whole_file import whole_file
+from preimage.storage.atomic_write import whole_file
 
 
 def test_what_was_written_is_there_and_nothing_else(tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from preimage.dataset import load
+from preimage.data.dataset import load
 
 DATA = Path(__file__).parent / "data"
 

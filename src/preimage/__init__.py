@@ -4,22 +4,22 @@ The names below are in the order of use: an arm and its task, demonstrations of 
 execution, and a film of both.
 """
 
-from preimage.dataset import load, save
-from preimage.evaluation import Evaluated, evaluate, result_of, wilson_interval
-from preimage.execution import execute, execute_open_loop
-from preimage.intention import IntentionState
-from preimage.legs import join, plan_in_turn
-from preimage.model import PDVMRNN
-from preimage.one_step import follow
-from preimage.planning import PlanConfig, imagine_library, plan, recognise
-from preimage.plans import load_plan, save_episode, save_plan
+from preimage.data.dataset import load, save
+from preimage.evaluation.evaluate import Evaluated, evaluate, result_of, wilson_interval
+from preimage.ideas.waypoints import join, plan_in_turn
+from preimage.method.error_regression import regress_intention
+from preimage.method.one_step import follow
+from preimage.method.plan import PlanConfig, imagine_library, plan, recognise
+from preimage.method.train import NonFinite, TrainConfig, train
+from preimage.network.config import ModelConfig, Sensors
+from preimage.network.intention import IntentionState
+from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
-from preimage.regression import regress_intention
 from preimage.report import figure, film
 from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
-from preimage.runs import from_pretrained, load_model, push_to_hub, read_shown
-from preimage.sizes import ModelConfig, Sensors
-from preimage.training import NonFinite, TrainConfig, train
+from preimage.robot.execution import execute, execute_open_loop
+from preimage.storage.plans import load_plan, save_episode, save_plan
+from preimage.storage.runs import from_pretrained, load_model, push_to_hub, read_shown
 
 __all__ = [
     "PDVMRNN",

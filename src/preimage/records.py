@@ -39,6 +39,15 @@ class Scene:
     """Positions by name, in the frame of the table: x away from the robot, y to its left, z up (m)."""
 
 
+def number_of(number: int, noun: str) -> str:
+    """So many of them, in words that agree.
+
+    >>> number_of(1, "episode"), number_of(3, "episode"), number_of(0, "joint")
+    ('1 episode', '3 episodes', '0 joints')
+    """
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def scene_of(about: Mapping[str, Any] | None) -> Scene | None:
     """The scene out of JSON, where its tuples have become lists."""
     if about is None:

@@ -13,9 +13,9 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 import lerobot_policy_preimage.modeling_preimage as modeling
 from lerobot_policy_preimage import PreimageConfig, PreimagePolicy
-from preimage.planning import home
+from preimage.method.plan import home
 from preimage.records import Percept
-from preimage.runs import find_run, load_model, read_shown
+from preimage.storage.runs import find_run, load_model, read_shown
 
 CAMERA, GOAL = "observation.images.camera", "observation.images.goal"
 

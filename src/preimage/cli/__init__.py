@@ -8,8 +8,8 @@ import tyro
 from preimage.cli.acting import demo, execute_, plan_
 from preimage.cli.learning import check, record_, train_
 from preimage.cli.measuring import bench_, evaluate_, report_, reproduce_
-from preimage.processes import ProcessLost, speaks
-from preimage.training import NonFinite
+from preimage.compute.processes import ProcessLost, speaks
+from preimage.method.train import NonFinite
 
 VERBS: dict[str, Callable[..., None]] = {
     "demo": demo,

@@ -8,21 +8,20 @@ import numpy as np
 import tyro
 from tyro.conf import Positional
 
-from preimage import demo as demonstration_of_it_all
+from preimage.cli.options import refuse_out_of_range
 from preimage.cli.screen import bar
-from preimage.devices import Device, place_of
-from preimage.execution import execute
-from preimage.legs import join, plan_in_turn
-from preimage.limits import commands_of, limits_seen, read_limits
-from preimage.options import refuse_out_of_range
-from preimage.planning import PlanConfig
-from preimage.plans import load_plan, save_episode, save_plan
-from preimage.records import Percept, Plan
+from preimage.compute.devices import Device, place_of
+from preimage.data.sources import find_percept
+from preimage.evaluation import demo as demonstration_of_it_all
+from preimage.ideas.waypoints import join, plan_in_turn
+from preimage.method.plan import PlanConfig
+from preimage.records import Percept, Plan, number_of
 from preimage.report import figure, film
 from preimage.robot import Arm
-from preimage.runs import BUNDLED, find_run, load_model, read_body, read_shown, read_view
-from preimage.sources import find_percept
-from preimage.wording import number_of
+from preimage.robot.execution import execute
+from preimage.robot.limits import commands_of, limits_seen, read_limits
+from preimage.storage.plans import load_plan, save_episode, save_plan
+from preimage.storage.runs import BUNDLED, find_run, load_model, read_body, read_shown, read_view
 
 BundledTask = Annotated[str, tyro.conf.arg(help=f"which of the bundled models: {' or '.join(BUNDLED)}.")]
 

@@ -7,23 +7,23 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
+from preimage.cli.options import refuse_out_of_range
 from preimage.cli.screen import bar, known_task
-from preimage.dataset import fingerprint, open_recordings, read_episodes, save
-from preimage.devices import Device
+from preimage.compute.devices import Device
+from preimage.compute.processes import gather
+from preimage.data.dataset import fingerprint, open_recordings, read_episodes, save
+from preimage.data.view import View
+from preimage.evaluation.experiments import SIZES
+from preimage.evaluation.held_out import every_nth
 from preimage.examination import examine
-from preimage.experiments import SIZES
-from preimage.held_out import every_nth
-from preimage.options import refuse_out_of_range
-from preimage.processes import gather
-from preimage.provenance import provenance
+from preimage.method.train import Progress as Told
+from preimage.method.train import TrainConfig, train
+from preimage.network.config import ModelConfig
+from preimage.records import number_of
 from preimage.report import examined_page, learning_curve
 from preimage.robot import TASKS, Arm, record, with_frames
-from preimage.runs import find_run, read_config, read_settings, read_view, write_card
-from preimage.sizes import ModelConfig
-from preimage.training import Progress as Told
-from preimage.training import TrainConfig, train
-from preimage.view import View
-from preimage.wording import number_of
+from preimage.storage.provenance import provenance
+from preimage.storage.runs import find_run, read_config, read_settings, read_view, write_card
 
 
 def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels: int = 64) -> None:

@@ -8,21 +8,21 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from preimage.bench import bench
+from preimage.cli.options import refuse_out_of_range
 from preimage.cli.screen import bar, console, known_task
-from preimage.devices import Device, place_of
-from preimage.evaluation import Evaluated, Loop, evaluate, result_of
-from preimage.experiments import cells_of, paper_of, reproduce
-from preimage.held_out import compare_run
-from preimage.options import refuse_out_of_range
-from preimage.planning import PlanConfig
-from preimage.processes import Crew, gather
-from preimage.provenance import provenance
+from preimage.compute.devices import Device, place_of
+from preimage.compute.processes import Crew, gather
+from preimage.evaluation.bench import bench
+from preimage.evaluation.evaluate import Evaluated, Loop, evaluate, result_of
+from preimage.evaluation.experiments import cells_of, paper_of, reproduce
+from preimage.evaluation.held_out import compare_run
+from preimage.method.plan import PlanConfig
+from preimage.method.train import Progress as Told
 from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS, Arm, with_frames
-from preimage.runs import find_run, load_model, made_from, read_shown
-from preimage.training import Progress as Told
-from preimage.whole_file import write_json
+from preimage.storage.atomic_write import write_json
+from preimage.storage.provenance import provenance
+from preimage.storage.runs import find_run, load_model, made_from, read_shown
 
 
 def evaluate_(

@@ -21,8 +21,7 @@ from preimage.examination.pictures import blank, moved, scene, stuck
 from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths, unreadable
 from preimage.examination.seen import Seen, look_through
 from preimage.examination.viewpoint import CameraMove, camera_moves
-from preimage.records import Episode
-from preimage.wording import number_of
+from preimage.records import Episode, number_of
 
 __all__ = ["CameraMove", "Examination", "Finding", "Kind", "Seen", "Severity", "examine"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes
 from preimage.examination.seen import SIDE, Seen, divisors
 from preimage.examination.viewpoint import CameraMove, stretches
-from preimage.wording import number_of
+from preimage.records import number_of
 
 STUCK_TRAVEL = 0.1
 """Share of a joint's span that it moves under frames that stay the same in every bit: more than a resting arm wobbles."""

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes
 from preimage.examination.seen import Seen
-from preimage.wording import number_of
+from preimage.records import number_of
 
 LEAST_STEPS = 2
 """A start and a goal: fewer steps show no way from one to the other."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
+from preimage.data.view import LONGEST, moving
 from preimage.records import Episode
-from preimage.view import LONGEST, moving
 
 SIDE = LONGEST
 """Pixels along the longer side at which frames are compared: the picture of the usual network."""
@@ -112,7 +112,7 @@ def spans(seen: Sequence[Seen]) -> Float[np.ndarray, " J"]:
 
 
 def divisors(seen: Sequence[Seen]) -> Float[np.ndarray, " J"]:
-    """What to divide each joint by, so that all that are learned count alike; infinite for the others (`view.moving`)."""
+    """What to divide each joint by, so that all that are learned count alike; infinite for the others (`data.view.moving`)."""
     span = spans(seen)
     return np.where(moving([one.joints for one in seen]) & (span > 0), span, np.inf)
 

@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 
 from preimage.examination import CameraMove, Examination, Finding, Kind, Seen, Severity
+from preimage.records import number_of
 from preimage.report.figures import ARRIVAL, FAILURE, INK, MUTED, WIDTH_INCHES, draw_frame, quiet, sheet
 from preimage.report.films import as_rgb
 from preimage.report.pages import document
-from preimage.whole_file import whole_file
-from preimage.wording import number_of
+from preimage.storage.atomic_write import whole_file
 
 NUM_COLUMNS = 10
 MOST_SHOWN, MOST_MOVES, MOST_JOINTS = 40, 6, 32

@@ -21,7 +21,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from preimage.records import Plan, Trial
 from preimage.report.films import as_rgb
-from preimage.whole_file import whole_file
+from preimage.storage.atomic_write import whole_file
 
 NUM_COLUMNS = 8
 """Frames shown of a sequence, evenly spaced up to arrival."""
@@ -46,7 +46,7 @@ def figure(plan: Plan, trial: Trial | None, path: str | os.PathLike[str], *, joi
     but for the gripper, which is in m and gets a strip of its own.
 
     Args:
-        joint_unit: the unit of all joints, where the data told (`runs.read_body`).
+        joint_unit: the unit of all joints, where the data told (`storage.runs.read_body`).
     """
     num_rows = 2 if trial is None else 3
     height, width = plan.frames.shape[1:3]

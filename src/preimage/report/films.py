@@ -18,7 +18,7 @@ from jaxtyping import Shaped, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from preimage.records import Demonstration, Plan, Trial
-from preimage.whole_file import whole_file
+from preimage.storage.atomic_write import whole_file
 
 PANEL_PIXELS = 256
 """Frames are enlarged by the largest whole factor that keeps their longer side within this; larger frames stay as they are."""

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from preimage.whole_file import whole_file
-from preimage.wording import number_of
+from preimage.records import number_of
+from preimage.storage.atomic_write import whole_file
 
 SUCCESS_MEANS = {
     "reach": "the hand ends within 4 cm of the goal position",

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from preimage.report.charts import growth_chart, intention_map
-from preimage.whole_file import whole_file
+from preimage.storage.atomic_write import whole_file
 
 Results = Sequence[Mapping[str, Any]]
 BASELINES = ("nearest_demonstration", "behaviour_cloning", "recalled_joints", "prior_mean", "do_nothing")

@@ -2,12 +2,12 @@
 
 from preimage.robot.arm import Arm, Furniture, Witness
 from preimage.robot.camera import Camera
+from preimage.robot.demonstrator import record, show
 from preimage.robot.kinematics import forward_kinematics, inverse_kinematics
 from preimage.robot.move_object import MoveObject, succeeds_within
 from preimage.robot.reach import Reach
 from preimage.robot.task import Judgement, Task, with_frames
 from preimage.robot.tasks import TASKS
-from preimage.robot.tutor import record, show
 from preimage.robot.two_points import ReachTwo
 
 __all__ = [

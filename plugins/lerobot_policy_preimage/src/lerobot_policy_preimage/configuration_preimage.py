@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from lerobot.configs import PreTrainedConfig
 
-from preimage.planning import PlanConfig
+from preimage.method.plan import PlanConfig
 
 
 @PreTrainedConfig.register_subclass("preimage")

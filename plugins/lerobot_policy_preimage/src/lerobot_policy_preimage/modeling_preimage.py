@@ -10,12 +10,12 @@ from lerobot.utils.constants import OBS_STATE
 from torch import Tensor
 
 from lerobot_policy_preimage.configuration_preimage import PreimageConfig
-from preimage.limits import commands_of, limits_seen
-from preimage.planning import PlanConfig, plan
+from preimage.data.sources import find_percept
+from preimage.data.view import look
+from preimage.method.plan import PlanConfig, plan
 from preimage.records import Percept
-from preimage.runs import find_run, load_model, read_body, read_shown, read_view
-from preimage.sources import find_percept
-from preimage.view import look
+from preimage.robot.limits import commands_of, limits_seen
+from preimage.storage.runs import find_run, load_model, read_body, read_shown, read_view
 
 Batch = dict[str, Any]
 

@@ -1,0 +1,1 @@
+"""Where the arithmetic is done, and by how many processes."""

@@ -1,0 +1,1 @@
+"""Recordings as they lie on disk, and as the network takes them."""

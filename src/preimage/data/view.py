@@ -1,0 +1,204 @@
+"""How a recording is looked at: which camera and which joints, which part of the picture, how large, in grey or in colour.
+
+What a view leaves open is settled by the data. Where no size is asked for,
+
+- frames whose sides are multiples of 16 and at most 128 stay as they are;
+- others with no side above 64 are brought to the nearest multiples of 16, except where a side is shorter than that;
+- others are shrunk: the longer side to 64, the other to the multiple of 16 that is nearest to the proportions.
+
+>>> default_size(480, 640), default_size(720, 1280), default_size(96, 128), default_size(50, 60)
+((48, 64), (32, 64), (96, 128), (48, 64))
+
+A settled view goes with the trained model, and later pictures, of goals above all, are looked at in the same way. Nothing is stretched
+further than `size` asks for: a picture of other proportions than the recordings is refused.
+
+>>> view = settled(View(crop=(0, 80, 480, 480)), 480, 640)
+>>> large, small = (np.zeros((height, width, 3), np.uint8) for height, width in ((480, 640), (240, 320)))
+>>> view.size, look(large, view, "goal.png").shape, look(small, view, "goal.png").shape
+((64, 64), (64, 64, 3), (64, 64, 3))
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+from jaxtyping import Bool, Float, UInt8
+from PIL import Image
+
+from preimage.network.config import Sensors
+
+LADDER = 16
+"""What a ladder of three levels needs: sides that are multiples of this."""
+LONGEST, LONGEST_KEPT = 64, 128
+"""The longer side of frames that are shrunk, and of frames that stay as they are where both sides fit the ladder (pixels)."""
+LIVELY, LEAST, SHARE_OF_RANGE = 1 / 5, 1 / 100, 1 / 3
+"""A joint moves where one episode in ten crosses `LIVELY` of what the liveliest joint crosses. As units differ (a gripper in metres beside
+radians), it does too where that is above `LEAST`, the noise of a sensor, and `SHARE_OF_RANGE` of all angles that the joint takes in the
+set: what was only put elsewhere between episodes does not move."""
+ALIKE = 0.02
+"""Two sizes have the same proportions where they differ by less than this share: 854x480 counts as 16:9."""
+COLOURS: Mapping[int, Literal["grey", "colour"]] = {1: "grey", 3: "colour"}
+"""What frames of so many channels are; four are colour and depth."""
+
+Frame = UInt8[np.ndarray, "H W C"]
+Viewed = UInt8[np.ndarray, "h w c"]
+"""A frame as the view shows it."""
+Picture = Frame | str
+"""A frame, or one sentence on why there is none."""
+
+
+@dataclass(frozen=True)
+class View:
+    """How recordings are looked at."""
+
+    camera: str | None = None
+    """Name of the camera; needed only where there are several."""
+    joints: tuple[str, ...] | None = None
+    """Names of the joints; by default those that move, and all of them in a data set that was written here."""
+    crop: tuple[int, int, int, int] | None = None
+    """The part that is looked at, as top, left, height and width in pixels of the recording; by default all of it."""
+    size: tuple[int, int] | None = None
+    """Height and width of what the network sees; by default a large frame is shrunk to 64 along its longer side."""
+    colour: Literal["keep", "grey", "colour"] = "keep"
+    """Grey or colour; keep takes what there is, and grey that was copied into three channels as grey."""
+    recorded: Annotated[tuple[int, int] | None, tyro.conf.Suppress] = None
+    """Height and width of the recordings before the crop; the data settle it."""
+
+
+def default_size(height: int, width: int) -> tuple[int, int]:
+    """Height and width of what the network sees of frames of a size, where nothing is asked for."""
+    longest, fits = max(height, width), height % LADDER == width % LADDER == 0
+    no_picture = longest <= LONGEST and min(height, width) < LADDER
+    if no_picture or (fits and longest <= LONGEST_KEPT):
+        return height, width
+    rungs = (round(side * min(1, LONGEST / longest) / LADDER) for side in (height, width))
+    tall, wide = (LADDER * max(1, rung) for rung in rungs)
+    return tall, wide
+
+
+def settled(view: View, height: int, width: int) -> View:
+    """The view with its size settled for recordings of this height and width.
+
+    Raises:
+        ValueError: the crop does not lie in the picture, or the size is no size.
+    """
+    top, left, tall, wide = view.crop or (0, 0, height, width)
+    if min(top, left) < 0 or min(tall, wide) < 1 or top + tall > height or left + wide > width:
+        raise ValueError(
+            f"the crop {view.crop} (top, left, height, width) does not lie in a picture of {height}x{width} (height x width): "
+            "give one that does"
+        )
+    if view.size is not None and min(view.size) < 1:
+        raise ValueError(f"the size {view.size} (height, width) is below one pixel: give multiples of {LADDER}")
+    return replace(view, size=view.size or default_size(tall, wide), recorded=(height, width))
+
+
+def look(frame: Frame, view: View, where: str) -> Viewed:
+    """What a settled view shows of a picture: of the recordings' size, of their proportions, or as small as the network sees it already.
+
+    Args:
+        where: what to call the picture where it does not fit.
+
+    Raises:
+        ValueError: the picture has other proportions than the recordings.
+    """
+    assert view.recorded, "settle the view first"
+    assert view.size, "settle the view first"
+    refuse_other_proportions(frame.shape[:2], view, where)
+    if view.crop and (frame.shape[:2] == view.recorded or frame.shape[:2] != view.size):
+        by = frame.shape[0] / view.recorded[0]
+        top, left, height, width = (round(by * number) for number in view.crop)
+        frame = frame[top : top + height, left : left + width]
+    return coloured(scaled(frame, view.size), view.colour)
+
+
+def refuse_other_proportions(came: tuple[int, ...], view: View, where: str) -> None:
+    """Raises ValueError where a picture of this (height, width) cannot be looked at through the view without stretching it."""
+    assert view.recorded, "settle the view first"
+    assert view.size, "settle the view first"
+    (height, width), (tall, wide) = came, view.recorded
+    if (height, width) == view.size or abs(height * wide / (width * tall) - 1) < ALIKE:
+        return
+    other = "" if view.recorded == view.size else f" to that, or to the proportions of the recordings, {wide}x{tall}"
+    raise ValueError(f"{where} is {width}x{height} pixels, the model sees {view.size[1]}x{view.size[0]}: scale or crop it{other}")
+
+
+def scaled(frame: Frame, size: tuple[int, int]) -> Viewed:
+    """The frame at another (height, width), each pixel the mean of those it covers."""
+    if frame.shape[:2] == size:
+        return frame
+    # Colour and depth apart: Pillow takes a fourth channel for opacity and weighs colours with it.
+    parts = (frame[..., :3], frame[..., 3:]) if frame.shape[-1] == 4 else (frame,)
+    images = (Image.fromarray(np.ascontiguousarray(part[..., 0] if part.shape[-1] == 1 else part)) for part in parts)
+    smaller = [np.asarray(image.resize((size[1], size[0]), Image.Resampling.BILINEAR)).reshape(*size, -1) for image in images]
+    return np.concatenate(smaller, axis=-1)  # (H, W, C)
+
+
+def coloured(frame: Frame, colour: Literal["keep", "grey", "colour"]) -> Viewed:
+    """The frame in grey (one channel) or in colour (three), or as it is."""
+    channels = frame.shape[-1]
+    if colour == "grey" and channels > 1:
+        grey = Image.fromarray(np.ascontiguousarray(frame[..., :3])).convert("L")
+        return np.asarray(grey)[..., None]  # (H, W, 1)
+    if colour == "colour" and channels != 3:
+        return np.repeat(frame, 3, axis=-1) if channels == 1 else frame[..., :3]  # (H, W, 3)
+    return frame
+
+
+def telling_channels(recordings: Sequence[UInt8[np.ndarray, "_F H W C"]]) -> int:
+    """How many channels say something: not a fourth that is opaque everywhere, not three that are the same grey everywhere."""
+    channels = recordings[0].shape[-1]
+    if channels == 4 and all((frames[..., 3] == 255).all() for frames in recordings):
+        channels = 3
+    if channels == 3 and all((frames[..., :3] == frames[..., :1]).all() for frames in recordings):
+        channels = 1
+    return channels
+
+
+def moving(recordings: Sequence[Float[np.ndarray, "_T J"]]) -> Bool[np.ndarray, " J"]:
+    """Which joints move; all of them where none does."""
+    within = np.quantile([np.ptp(joints, axis=0) for joints in recordings], 0.9, axis=0)  # (J,)
+    overall = np.ptp(np.concatenate(recordings), axis=0)
+    lively, above_noise = within >= LIVELY * within.max(), within >= LEAST * within.max()
+    moves = (within > 0) & (lively | (above_noise & (within >= SHARE_OF_RANGE * overall)))
+    return moves if moves.any() else np.ones_like(moves)
+
+
+class Eye:
+    """Looks at the pictures of a data set one by one, so that few large ones are in memory; the first settles what the view leaves open."""
+
+    def __init__(self, view: View) -> None:
+        self.view = view
+        self._kind: tuple[int, ...] | None = None
+
+    def watch(self, pictures: Iterable[Picture], where: str) -> tuple[UInt8[np.ndarray, "F H W C"], tuple[str, ...]]:
+        """The frames of an episode as the view shows them, of no size where there is none, and a sentence for each that is missing.
+
+        Raises:
+            ValueError: the view does not fit the pictures.
+        """
+        frames, faults = [], []
+        for step, picture in enumerate(pictures):
+            if isinstance(picture, str):
+                faults.append(picture)
+            elif picture.shape != self._kind and self._kind:
+                faults.append(
+                    f"{where}, step {step} has a frame of {picture.shape}, the first is of {self._kind} (H, W, C): give all one size"
+                )
+            else:
+                self._settle(picture, where)
+                frames.append(look(picture, self.view, where))
+        return np.stack(frames) if frames else np.zeros((0, 0, 0, 1), np.uint8), tuple(faults)
+
+    def _settle(self, picture: Frame, where: str) -> None:
+        if self._kind is None:
+            self._kind = picture.shape
+            self.view = self.view if self.view.recorded else settled(self.view, *picture.shape[:2])
+
+
+def seen_by(sensors: Sensors) -> View:
+    """The view that shows recordings of a model's own frame size as the model sees them."""
+    size = sensors.height, sensors.width
+    return View(joints=sensors.joint_names, size=size, colour=COLOURS.get(sensors.channels, "keep"), recorded=size)

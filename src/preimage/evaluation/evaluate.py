@@ -1,0 +1,262 @@
+"""How often plans arrive: trials on goals that were never shown, counted with an interval, beside what luck would give.
+
+A success rate alone says little. Beside it stand the arm that does nothing, the arm that replays the demonstration whose last frame looks
+most like the goal, the arm that goes straight through the joints that memory expects, and the same model with no goal, its intention at
+the prior mean.
+
+>>> [round(100 * bound) for bound in wilson_interval(84, 100)]
+[76, 90]
+"""
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from preimage.compute.processes import Crew
+from preimage.data.sequences import at_rate
+from preimage.method.one_step import follow
+from preimage.method.plan import PlanConfig, horizon_of, imagine_library, imagine_without_goal, plan
+from preimage.network.pdvmrnn import PDVMRNN
+from preimage.records import Demonstration, Percept, Plan, Shown, Trial
+from preimage.robot import Arm, Task, record, succeeds_within
+from preimage.robot.execution import execute, execute_open_loop, play
+
+Loop = Literal["closed", "open", "recorded"]
+"""closed: the plan is executed blind; open: the next joints are predicted from what the robot senses; recorded: from what was recorded
+when the tutor showed the way to the same goal (the other reading of the paper's one-step prediction)."""
+PIXEL_M = 0.013
+"""A pixel of the paper's camera (m)."""
+Policies = Mapping[str, Callable[[Percept], Callable[[Percept], Float[np.ndarray, " J"]]]]
+"""Other ways to go to a goal: from the goal to a policy that is told what is sensed, step by step."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of one goal."""
+
+    goal: int
+    deviation_cm: float
+    success: bool
+    arrival_step: int
+    """Step of the plan at which the goal is imagined."""
+    demonstration_steps: int
+    """Steps that the tutor took to the same goal, at the plan's rate."""
+    error: float
+    """Prediction error of the plan."""
+    seconds: float
+    """Wall time of planning."""
+    stopped: str
+    limited: tuple[str, ...]
+    details: dict[str, float]
+    """What else the judge saw."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluated:
+    """One goal with its plan, its trial and the baselines' trials."""
+
+    demonstration: Demonstration
+    """What the tutor did; the planner saw its first percept and its last frame."""
+    plan: Plan
+    trial: Trial
+    baselines: Mapping[str, Trial]
+
+
+def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
+    """The 95 % interval of a success rate (Wilson 1927).
+
+    Raises:
+        ValueError: there is no trial.
+    """
+    if trials < 1:
+        raise ValueError(f"an interval needs 1 trial or more, there are {trials}")
+    rate, spread = successes / trials, z**2 / trials
+    centre = (rate + spread / 2) / (1 + spread)
+    half = z / (1 + spread) * (rate * (1 - rate) / trials + spread / (4 * trials)) ** 0.5
+    return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def evaluate(
+    model: PDVMRNN,
+    arm: Arm,
+    task: Task,
+    *,
+    goals: int,
+    seed: int,
+    shown: Sequence[Shown],
+    config: PlanConfig | None = None,
+    loop: Loop = "closed",
+    policies: Policies | None = None,
+    progress: Callable[[Evaluated], None] | None = None,
+    crew: Crew = Crew(),  # noqa: B008, frozen
+) -> list[Evaluated]:
+    """Plan to goals that a tutor reached, execute in physics and judge.
+
+    Args:
+        goals: how many.
+        seed: draws the goals; not the one the demonstrations were recorded with.
+        shown: the demonstrations the model was trained on, for the baseline that replays one of them.
+        policies: more baselines, by name.
+        progress: called after each goal of this process.
+        crew: the processes that share the goals; each gets what all have found.
+
+    Raises:
+        ProcessLost: another process of the crew is no longer there.
+    """
+    config = config or PlanConfig()
+    library = imagine_library(model, config=config)
+    recorded, evaluated = record(arm, task, count=goals, seed=seed), dict[int, Evaluated]()
+    for goal in crew.share(goals).tolist():
+        demonstration = recorded[goal]
+        found = plan(model, start=demonstration.first, goal=goal_of(demonstration, config), config=config, library=library)
+        trial = carry_out(model, found, arm, task, demonstration, loop, config)
+        baselines = dict(baselines_of(model, arm, task, demonstration, found, shown, policies or {}, config))
+        evaluated[goal] = Evaluated(demonstration, found, trial, baselines)
+        if progress:
+            progress(evaluated[goal])
+    return crew.together(evaluated)
+
+
+def carry_out(model: PDVMRNN, found: Plan, arm: Arm, task: Task, demonstration: Demonstration, loop: Loop, config: PlanConfig) -> Trial:
+    """Execute a plan in one of the loops."""
+    assert demonstration.scene is not None
+    if loop == "closed":
+        return execute(found, arm, demonstration.scene, task=task)
+    policy = follow(model, found, config=config)
+    if loop == "recorded":
+        recorded = at_rate(demonstration, found.rate_hz)
+        joints = np.stack([recorded.joints[0], *(policy(recorded[step]) for step in range(len(recorded) - 1))])
+        return play(joints, found.rate_hz, arm, demonstration.scene, task=task)
+    num_steps = horizon_of(model, config) - 1
+    return execute_open_loop(policy, arm, demonstration.scene, num_steps=num_steps, rate_hz=found.rate_hz, task=task)
+
+
+def baselines_of(
+    model: PDVMRNN,
+    arm: Arm,
+    task: Task,
+    demonstration: Demonstration,
+    found: Plan,
+    shown: Sequence[Shown],
+    policies: Policies,
+    config: PlanConfig,
+) -> Iterator[tuple[str, Trial]]:
+    """What would have been reached otherwise."""
+    scene, num_steps = demonstration.scene, horizon_of(model, config)
+    assert scene is not None
+    yield "do_nothing", play(demonstration.joints[:1], demonstration.rate_hz, arm, scene, task=task)
+    nearest = nearest_shown(shown, demonstration.last)
+    yield "nearest_demonstration", play(nearest.joints, nearest.rate_hz, arm, scene, task=task)
+    if found.recalled is not None:
+        switch = int(model.switching[0]) if len(found.recalled) > 1 else None
+        straight = straight_through(np.vstack([demonstration.joints[:1], found.recalled]), num_steps, switch=switch)
+        yield "recalled_joints", play(straight, model.config.rate_hz, arm, scene, task=task)
+    yield "prior_mean", execute(imagine_without_goal(model, demonstration.first, config=config), arm, scene, task=task)
+    for name, policy_to in policies.items():
+        policy = policy_to(Percept(demonstration.last.frame))
+        yield name, execute_open_loop(policy, arm, scene, num_steps=num_steps - 1, rate_hz=model.config.rate_hz, task=task)
+
+
+def straight_through(points: Float[np.ndarray, "M J"], num_steps: int, *, switch: int | None) -> Float[np.ndarray, "T J"]:
+    """A way straight from each point to the next, all legs as long.
+
+    Args:
+        switch: the joint that stays as it was until a point is reached, and is given a step for it there.
+    """
+    legs = [points[:1]]
+    for here, there in itertools.pairwise(points):
+        reached = there.copy()
+        if switch is not None:
+            reached[switch] = here[switch]
+        legs += [np.linspace(here, reached, max(2, num_steps // (len(points) - 1)))[1:], there[None]]
+    return np.concatenate(legs)
+
+
+def goal_of(demonstration: Demonstration, config: PlanConfig) -> Percept:
+    """The last percept, without the modalities that the planner is not to see."""
+    last = demonstration.last
+    return Percept(last.frame if config.modalities != "joints" else None, last.joints if config.modalities != "vision" else None)
+
+
+def nearest_shown(shown: Sequence[Shown], goal: Percept) -> Shown:
+    """The demonstration whose last frame is nearest to the goal's, pixel by pixel."""
+    assert goal.frame is not None
+    wanted = goal.frame.astype(float)
+    return shown[int(np.argmin([np.square(one.last_frame - wanted).sum() for one in shown]))]
+
+
+def row_of(index: int, one: Evaluated) -> Row:
+    return Row(
+        goal=index,
+        deviation_cm=round(100 * one.trial.deviation_m, 3),
+        success=one.trial.success,
+        arrival_step=one.plan.arrival_step,
+        demonstration_steps=len(at_rate(one.demonstration, one.plan.rate_hz)) - 1,
+        error=one.plan.error,
+        seconds=round(one.plan.seconds, 3),
+        stopped=one.plan.stopped.name.lower(),
+        limited=one.trial.limited,
+        details=dict(one.trial.details),
+    )
+
+
+def count(trials: Sequence[Trial]) -> dict[str, Any]:
+    """k successes among n trials with their interval, how far off they ended, and what the judge saw besides."""
+    deviations = np.array([100 * trial.deviation_m for trial in trials])
+    spread = {"mean": deviations.mean(), "median": np.median(deviations), "max": deviations.max()}
+    counted = share([trial.success for trial in trials])
+    counted["deviation_cm"] = {name: round(float(value), 3) for name, value in spread.items()}
+    if "touched" in trials[0].details:
+        counted["touched"] = share([bool(trial.details["touched"]) for trial in trials])
+    if "grasped" in trials[0].details:
+        counted |= grasps(trials)
+    return counted
+
+
+def share(successes: Sequence[bool]) -> dict[str, Any]:
+    """k of n with the Wilson interval."""
+    k, n = sum(successes), len(successes)
+    return {"success": k, "goals": n, "success_rate": k / n, "interval": wilson_interval(k, n)}
+
+
+def grasps(trials: Sequence[Trial]) -> dict[str, Any]:
+    """The rows of Table III: grasped at all, within a few pixels, and placed once grasped."""
+    grasped = [trial for trial in trials if trial.details["grasped"]]
+    rows: dict[str, Any] = {
+        "within_pixels": {
+            str(pixels): share([succeeds_within(trial.details, pixels * PIXEL_M) for trial in trials]) for pixels in (1, 2, 3)
+        },
+        "grasped": share([bool(trial.details["grasped"]) for trial in trials]),
+        "grasp_error_cm_median": round(100 * float(np.median([trial.details["grasp_error_m"] for trial in trials])), 3),
+    }
+    if grasped:
+        rows["placed_once_grasped"] = share([trial.success for trial in grasped])
+        rows["placed_once_grasped_cm_mean"] = round(100 * float(np.mean([trial.details["place_error_m"] for trial in grasped])), 3)
+    return rows
+
+
+def result_of(evaluated: Sequence[Evaluated], about: dict[str, Any]) -> dict[str, Any]:
+    """The counts and rows of an evaluation, ready to be written as JSON.
+
+    Args:
+        about: what was evaluated and how: task, model, size, num_demonstrations, seed, loop and whatever else should be kept.
+    """
+    rows = [row_of(index, one) for index, one in enumerate(evaluated)]
+    seconds = np.array([row.seconds for row in rows])
+    names = list(evaluated[0].baselines)
+    return {
+        **about,
+        **count([one.trial for one in evaluated]),
+        "seconds_per_plan": round(float(seconds.mean()), 3),
+        "seconds_per_plan_max": round(float(seconds.max()), 3),
+        "steps": {
+            "plan": float(np.mean([row.arrival_step for row in rows])),
+            "demonstration": float(np.mean([row.demonstration_steps for row in rows])),
+        },
+        "baselines": {name: count([one.baselines[name] for one in evaluated]) for name in names},
+        "rows": [asdict(row) for row in rows],
+    }

@@ -1,0 +1,1 @@
+"""The closed loop of tiny networks, compiled by numba."""

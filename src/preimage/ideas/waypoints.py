@@ -1,0 +1,52 @@
+"""Several goals in a row: a plan to each from where the one before arrives, and all of them as one."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from preimage.method.plan import PlanConfig, plan
+from preimage.network.pdvmrnn import PDVMRNN
+from preimage.records import Percept, Plan
+
+
+def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequence[Percept], config: PlanConfig | None = None) -> list[Plan]:
+    """Plans from each goal to the next: the first from the start, every other from the percept with which the one before arrives.
+
+    Nothing is sensed in between: where a plan is wrong, the next one begins wrong.
+
+    Raises:
+        ValueError: there is no goal, or a percept does not fit, as in `plan`.
+    """
+    if not goals:
+        raise ValueError("there is no goal: give one or more")
+    legs: list[Plan] = []
+    for goal in goals:
+        legs.append(plan(model, start=start, goal=goal, config=config))
+        arrival = legs[-1].arrival_step
+        start = Percept(legs[-1].frames[arrival], legs[-1].joints[arrival])
+    return legs
+
+
+def join(legs: Sequence[Plan]) -> Plan:
+    """Plans that begin where the one before arrives, as one plan to the last goal, which is executed like any other.
+
+    Its error is the sum of theirs, its reason to have stopped that of the leg with the largest error, its intention theirs one after the
+    other: `method.one_step.follow` takes them one by one.
+    """
+    last, worst = legs[-1], max(legs, key=lambda leg: leg.error)
+    ways = [(leg.frames[: leg.arrival_step + 1], leg.joints[: leg.arrival_step + 1]) for leg in legs[:-1]] + [(last.frames, last.joints)]
+    frames, joints = zip(*ways, strict=True)
+    later = slice(1, None)  # the first step of a leg is the arrival of the one before
+    return replace(
+        last,
+        frames=np.concatenate([frames[0], *(each[later] for each in frames[1:])]),
+        joints=np.concatenate([joints[0], *(each[later] for each in joints[1:])]),
+        arrival_step=sum(leg.arrival_step for leg in legs),
+        start=legs[0].start,
+        error=sum(leg.error for leg in legs),
+        errors=np.concatenate([leg.errors for leg in legs]),
+        stopped=worst.stopped,
+        seconds=sum(leg.seconds for leg in legs),
+        intention=np.concatenate([leg.intention for leg in legs]),
+    )

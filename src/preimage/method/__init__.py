@@ -1,0 +1,1 @@
+"""The paper: training, prediction error, error regression, planning, one-step prediction."""

@@ -1,0 +1,137 @@
+"""Let the arm do what was imagined, in physics and within its limits: blind, or with an eye on what it senses."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from preimage.records import Percept, Plan, Scene, Trial
+from preimage.robot import TASKS, Arm, Judgement, Task
+from preimage.robot.limits import Limiter, Limits, within_limits
+
+SETTLE_S = 0.5
+"""Time the arm is given to come to rest on the last set point before the task is judged."""
+
+Policy = Callable[[Percept], Float[np.ndarray, " J"]]
+"""What to command for the next step (rad; gripper: m), given what is sensed now."""
+
+
+def execute(plan: Plan, arm: Arm, scene: Scene, *, task: Task | None = None) -> Trial:
+    """Play the plan's joints up to its arrival step without looking, and judge the course of it.
+
+    Args:
+        task: by default the one that the scene names, seen in the default frames.
+
+    Raises:
+        ValueError: the plan is for other joints than the task's, or the scene is of a task that is not known.
+    """
+    task = task or task_of(scene)
+    arm.furnish(task.furniture)
+    if plan.joint_names != arm.joint_names:
+        raise ValueError(f"the plan moves {', '.join(plan.joint_names)}, {task.name} needs {', '.join(arm.joint_names)}")
+    return play(plan.joints[: plan.arrival_step + 1], plan.rate_hz, arm, scene, task=task)
+
+
+def play(joints: Float[np.ndarray, "T J"], rate_hz: float, arm: Arm, scene: Scene, *, task: Task | None = None) -> Trial:
+    """Lay out the scene and bring the arm through the joints (rad; gripper: m), one row a step; the first row is where it stands already.
+
+    Args:
+        task: by default the one that the scene names, seen in the default frames.
+
+    Raises:
+        ValueError: the scene is of a task that is not known.
+    """
+    stage = Stage(task or task_of(scene), arm, scene)
+    from_here = np.vstack([np.array(scene.start_joints), joints[1:]])
+    commands, limited = within_limits(from_here, limits_of(arm), period_s=1 / rate_hz)
+    for command in commands[1:]:
+        stage.move(command, 1 / rate_hz)
+    return stage.finish(commands[-1], limited)
+
+
+def execute_open_loop(
+    policy: Policy,
+    arm: Arm,
+    scene: Scene,
+    *,
+    num_steps: int,
+    rate_hz: float,
+    task: Task | None = None,
+) -> Trial:
+    """Let a policy that sees what the robot senses, step by step, command the arm, and judge the course of it.
+
+    The limits are those of blind execution, but a policy that asks for too much gets no more time: it senses that it was slowed.
+
+    Args:
+        policy: called once a step with what is sensed; returns the joints to command for the next step (rad; gripper: m).
+        num_steps: how often the policy is asked.
+        task: by default the one that the scene names, seen in the default frames.
+
+    Raises:
+        ValueError: num_steps is too small, the scene is of a task that is not known, or the policy commands other joints than the task's.
+    """
+    if num_steps < 1:
+        raise ValueError(f"num_steps is {num_steps}: ask the policy once or more")
+    stage = Stage(task or task_of(scene), arm, scene)
+    limiter = Limiter(limits_of(arm), np.array(scene.start_joints), 1 / rate_hz)
+    for _ in range(num_steps):
+        wanted = np.asarray(policy(stage.percept))
+        if wanted.shape != (len(arm.joint_names),):
+            raise ValueError(f"the policy commands joints of shape {wanted.shape}; the arm has {', '.join(arm.joint_names)}")
+        stage.move(limiter.follow(wanted), 1 / rate_hz)
+    return stage.finish(limiter.command, limiter.sentences())
+
+
+def task_of(scene: Scene) -> Task:
+    """The task that a scene names.
+
+    Raises:
+        ValueError: it is not known.
+    """
+    if scene.task not in TASKS:
+        raise ValueError(f"the scene is of task {scene.task!r}; known are {', '.join(TASKS)}")
+    return TASKS[scene.task]
+
+
+def limits_of(arm: Arm) -> Limits:
+    """What the arm may be commanded among the furniture where it stands."""
+    return Limits(arm.joint_names, arm.joint_units, arm.joint_limits[:, 0], arm.joint_limits[:, 1], arm.velocity_limits)
+
+
+class Stage:
+    """A scene laid out for one trial, in which everything that happens is written down."""
+
+    def __init__(self, task: Task, arm: Arm, scene: Scene) -> None:
+        task.lay_out(arm, scene)
+        self._task, self._arm, self._scene = task, arm, scene
+        self._percepts, self.course = [arm.sense()], [arm.witness()]
+
+    @property
+    def percept(self) -> Percept:
+        """What the robot senses now."""
+        return self._percepts[-1]
+
+    def move(self, command: Float[np.ndarray, " J"], seconds: float) -> None:
+        """The arm went where it was commanded, and what it sensed then is kept."""
+        self._arm.move(command, seconds)
+        self._percepts.append(self._arm.sense())
+        self.course.append(self._arm.witness())
+
+    def judge(self) -> Judgement:
+        """What the task says of the course so far."""
+        return self._task.judge(self._scene, self.course)
+
+    def finish(self, command: Float[np.ndarray, " J"], limited: tuple[str, ...]) -> Trial:
+        """The arm has come to rest at the last command, and the task has judged the course of it all."""
+        self.move(command, SETTLE_S)
+        judgement = self.judge()
+        return Trial(
+            frames=np.array([percept.frame for percept in self._percepts]),
+            joints=np.array([percept.joints for percept in self._percepts]),
+            end_effector_m=np.array([moment.end_effector_m for moment in self.course]),
+            deviation_m=judgement.deviation_m,
+            success=judgement.success,
+            scene=self._scene,
+            limited=limited,
+            details=judgement.details,
+        )

@@ -1,0 +1,151 @@
+"""What a robot may be commanded, and commands that keep to it.
+
+>>> limits = Limits(("yaw",), ("rad",), lower=np.array([-1.0]), upper=np.array([1.0]), velocity=np.array([2.0]))
+>>> commands, limited = within_limits(np.array([[0.0], [0.1], [1.2]]), limits, period_s=0.2)
+>>> commands[:, 0].round(3).tolist()
+[0.0, 0.1, 0.5, 0.9, 1.0]
+>>> limited
+('yaw kept above -1 and below 1 rad in 1 step', 'yaw slowed to 2 rad/s in 2 steps')
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from preimage.data.sequences import LIMIT_MARGIN
+from preimage.network.config import Sensors
+from preimage.records import Plan, Shown, number_of
+
+UNIT = "units"
+"""What the joints' unit is called where nobody said which it is."""
+KEYS = ("lower", "upper", "velocity", "step")
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What the arm may be commanded, joint by joint."""
+
+    joint_names: tuple[str, ...]
+    units: tuple[str, ...]
+    """rad or m, or what the data told of theirs"""
+    lower: Float[np.ndarray, " J"]
+    """In units."""
+    upper: Float[np.ndarray, " J"]
+    """In units."""
+    velocity: Float[np.ndarray, " J"]
+    """In units a second."""
+
+
+def limits_seen(sensors: Sensors, shown: Sequence[Shown], *, unit: str | None = None) -> Limits:
+    """The limits that the demonstrations speak for: the range of each joint as the model codes it, and the fastest step seen.
+
+    The range is the one seen, widened by LIMIT_MARGIN of it. A joint that hardly moved may still cross that share of its range in a second.
+
+    Args:
+        unit: of the joints, where it is known.
+    """
+    lower, upper = np.array(sensors.joint_lower), np.array(sensors.joint_upper)
+    fastest = np.max([np.abs(np.diff(one.joints, axis=0)).max(0) * one.rate_hz for one in shown], axis=0)
+    velocity = np.maximum(fastest, LIMIT_MARGIN * (upper - lower))
+    return Limits(sensors.joint_names, (unit or UNIT,) * sensors.num_joints, lower, upper, velocity)
+
+
+def read_limits(path: Path, others: Limits, *, rate_hz: float) -> Limits:
+    """The limits in a JSON file, `{"elbow": {"lower": -1.5, "upper": 1.5, "velocity": 2.0}, ...}`; what it leaves out stays as in `others`.
+
+    `velocity` is in units a second; `step`, in units, says the same for one step at `rate_hz`.
+
+    Raises:
+        ValueError: the file is missing, no such JSON, names another joint, or a limit leaves no room.
+    """
+    try:
+        named = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} is no JSON file that can be read: give {{joint: {{lower, upper, velocity or step}}}}") from error
+    if not isinstance(named, dict) or not all(isinstance(each, dict) for each in named.values()):
+        raise ValueError(f"{path} holds no limits by joint: give {{joint: {{lower, upper, velocity or step}}}}")
+    lower, upper, velocity = others.lower.copy(), others.upper.copy(), others.velocity.copy()
+    for name, given in named.items():
+        if name not in others.joint_names:
+            raise ValueError(f"{path} limits {name}, the plan moves {', '.join(others.joint_names)}")
+        for key, value in given.items():
+            if key not in KEYS or isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise ValueError(f"{path} has {key} {value!r} for {name}: give numbers for {', '.join(KEYS)}")
+        joint = others.joint_names.index(name)
+        lower[joint], upper[joint] = given.get("lower", lower[joint]), given.get("upper", upper[joint])
+        speeds = [given[key] * steps for key, steps in (("velocity", 1.0), ("step", rate_hz)) if key in given]
+        velocity[joint] = min(speeds, default=velocity[joint])
+        if not (lower[joint] < upper[joint] and velocity[joint] > 0):
+            raise ValueError(f"{path} leaves {name} no room: give lower below upper, and a velocity and step above 0")
+    return Limits(others.joint_names, others.units, lower, upper, velocity)
+
+
+def commands_of(plan: Plan, limits: Limits) -> tuple[Float[np.ndarray, "S J"], tuple[str, ...]]:
+    """What to command so that a robot follows a plan up to its arrival within limits, and a sentence for each limit that changed it."""
+    joints = plan.joints[: plan.arrival_step + 1].copy()
+    if plan.start.joints is not None:
+        joints[0] = plan.start.joints  # where the robot stands, not where it imagines to stand
+    return within_limits(joints, limits, period_s=1 / plan.rate_hz)
+
+
+def within_limits(joints: Float[np.ndarray, "T J"], limits: Limits, *, period_s: float) -> tuple[Float[np.ndarray, "S J"], tuple[str, ...]]:
+    """The commands that follow `joints` within the limits, and a sentence for each limit that changed them.
+
+    A step that would be too fast is shortened and made up for in the steps after it; where the end is not reached in time, steps are
+    added (S >= T). The first row is where the arm is.
+    """
+    limiter = Limiter(limits, joints[0], period_s)
+    commands = [limiter.command]
+    for wanted in joints[1:]:
+        commands.append(limiter.follow(wanted))
+    while not limiter.has_arrived:
+        commands.append(limiter.catch_up())
+    return np.stack(commands), limiter.sentences()
+
+
+class Limiter:
+    """Follows the joints that are wanted, one step at a time, as well as the limits allow, and counts where they did not."""
+
+    def __init__(self, limits: Limits, start: Float[np.ndarray, " J"], period_s: float) -> None:
+        self._limits = limits
+        self._reach = limits.velocity * period_s
+        self._num_kept, self._num_slowed = np.zeros((2, len(self._reach)), int)
+        self.command = self._wanted = self._allowed(start)
+
+    @property
+    def has_arrived(self) -> bool:
+        """Whether the last command is what was wanted, as far as it is allowed."""
+        return np.allclose(self.command, self._wanted)
+
+    def follow(self, wanted: Float[np.ndarray, " J"]) -> Float[np.ndarray, " J"]:
+        """The next command towards new wanted joints."""
+        self._wanted = self._allowed(wanted)
+        return self.catch_up()
+
+    def catch_up(self) -> Float[np.ndarray, " J"]:
+        """The next command towards the joints that were wanted last."""
+        missing = self._wanted - self.command
+        self._num_slowed += np.abs(missing) > self._reach + 1e-9
+        self.command = self.command + np.clip(missing, -self._reach, self._reach)
+        return self.command
+
+    def sentences(self) -> tuple[str, ...]:
+        """A sentence for each limit that changed a command."""
+        limits, kept, slowed = self._limits, [], []
+        numbers = limits.lower, limits.upper, limits.velocity, self._num_kept.tolist(), self._num_slowed.tolist()
+        for name, unit, low, high, velocity, num_kept, num_slowed in zip(limits.joint_names, limits.units, *numbers, strict=True):
+            if num_kept:
+                kept.append(f"{name} kept above {low:g} and below {high:g} {unit} in {number_of(num_kept, 'step')}")
+            if num_slowed:
+                slowed.append(f"{name} slowed to {velocity:g} {unit}/s in {number_of(num_slowed, 'step')}")
+        return *kept, *slowed
+
+    def _allowed(self, wanted: Float[np.ndarray, " J"]) -> Float[np.ndarray, " J"]:
+        allowed = np.clip(wanted, self._limits.lower, self._limits.upper)
+        self._num_kept += allowed != wanted
+        return allowed

@@ -1,0 +1,1 @@
+"""Runs, plans and results on disk, written whole or not at all."""
