@@ -12,14 +12,17 @@ from preimage import fast
 if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it torch, matplotlib or mujoco
     from preimage.data.dataset import load, save
     from preimage.evaluation.evaluate import Evaluated, evaluate, result_of, wilson_interval
-    from preimage.ideas.waypoints import join, plan_in_turn
-    from preimage.method.error_regression import regress_intention
+    from preimage.ideas.memory import DemonstrationMemory
+    from preimage.ideas.waypoints import join
+    from preimage.method.config import PlanConfig, TrainConfig
     from preimage.method.one_step import follow
-    from preimage.method.plan import PlanConfig, imagine_library, plan, recognise
-    from preimage.method.train import NonFinite, TrainConfig, train
+    from preimage.method.plan import plan, recognise
+    from preimage.method.seam import Ideas
+    from preimage.method.train import NonFinite
     from preimage.network.config import ModelConfig, Sensors
     from preimage.network.intention import IntentionState
     from preimage.network.pdvmrnn import PDVMRNN
+    from preimage.presets import Planner, PlanOptions, TrainOptions, load_memory, load_planner, remember, train
     from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
     from preimage.report import figure, film
     from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
@@ -34,7 +37,9 @@ __all__ = [
     "TASKS",
     "Arm",
     "Demonstration",
+    "DemonstrationMemory",
     "Evaluated",
+    "Ideas",
     "IntentionState",
     "ModelConfig",
     "MoveObject",
@@ -42,6 +47,8 @@ __all__ = [
     "Percept",
     "Plan",
     "PlanConfig",
+    "PlanOptions",
+    "Planner",
     "Reach",
     "ReachTwo",
     "Scene",
@@ -49,6 +56,7 @@ __all__ = [
     "Shown",
     "Stopped",
     "TrainConfig",
+    "TrainOptions",
     "Trial",
     "evaluate",
     "execute",
@@ -57,18 +65,18 @@ __all__ = [
     "film",
     "follow",
     "from_pretrained",
-    "imagine_library",
     "join",
     "load",
+    "load_memory",
     "load_model",
     "load_plan",
+    "load_planner",
     "plan",
-    "plan_in_turn",
     "push_to_hub",
     "read_shown",
     "recognise",
     "record",
-    "regress_intention",
+    "remember",
     "result_of",
     "save",
     "save_episode",
@@ -80,14 +88,17 @@ __all__ = [
 ROOMS = {
     "data.dataset": ("load", "save"),
     "evaluation.evaluate": ("Evaluated", "evaluate", "result_of", "wilson_interval"),
-    "ideas.waypoints": ("join", "plan_in_turn"),
-    "method.error_regression": ("regress_intention",),
+    "ideas.memory": ("DemonstrationMemory",),
+    "ideas.waypoints": ("join",),
+    "method.config": ("PlanConfig", "TrainConfig"),
     "method.one_step": ("follow",),
-    "method.plan": ("PlanConfig", "imagine_library", "plan", "recognise"),
-    "method.train": ("NonFinite", "TrainConfig", "train"),
+    "method.plan": ("plan", "recognise"),
+    "method.seam": ("Ideas",),
+    "method.train": ("NonFinite",),
     "network.config": ("ModelConfig", "Sensors"),
     "network.intention": ("IntentionState",),
     "network.pdvmrnn": ("PDVMRNN",),
+    "presets": ("Planner", "PlanOptions", "TrainOptions", "load_memory", "load_planner", "remember", "train"),
     "records": ("Demonstration", "Percept", "Plan", "Scene", "Shown", "Stopped", "Trial"),
     "report": ("figure", "film"),
     "robot": ("TASKS", "Arm", "MoveObject", "Reach", "ReachTwo", "record"),

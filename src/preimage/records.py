@@ -189,8 +189,14 @@ class Plan:
     """Wall time from the request to the plan."""
     intention: Float[np.ndarray, " D"]
     """What the sequence is generated from: `IntentionState.flatten` of it, for one-step prediction under the same intention."""
-    recalled: Float[np.ndarray, "M J"] | None = None
-    """The joints that memory alone expects where something is switched and, last, at the goal, where it was asked."""
+    unexplained: float | None = None
+    """The error as a share of that of staying at the start."""
+    imagined_joints: Float[np.ndarray, "T J"] | None = None
+    """The joints as the network imagines them, before anything was corrected."""
+    expected_joints: Float[np.ndarray, "M J"] | None = None
+    """The joints that memory alone expects at gripper events and, last, at the goal, where it was asked."""
+    legs: tuple["Plan", ...] = ()
+    """The plans of which this is made, where it leads to several goals in a row."""
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -5,9 +5,13 @@ A verb's room is loaded when the verb is known, for torch, matplotlib and mujoco
 
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 from importlib import import_module
+from inspect import signature
+from itertools import pairwise
 
 DESCRIPTION = "Learn from demonstrations; give a goal image; see the way imagined before the robot moves."
 
@@ -67,7 +71,19 @@ def run(verb: str, arguments: list[str]) -> None:
 
     chosen = VERBS[verb]
     function = getattr(import_module(f"preimage.cli.{chosen.room}"), chosen.function)
-    tyro.cli(function, prog=f"preimage {verb}", args=arguments)
+    tyro.cli(by_preset(function, arguments), prog=f"preimage {verb}", args=arguments)
+
+
+def by_preset(function: Callable[..., None], arguments: list[str]) -> Callable[..., None]:
+    """The verb with the defaults of the preset that `--as` names, so that each of them can be changed after it."""
+    from preimage.presets import PlanOptions, TrainOptions
+
+    named = [value for word, value in pairwise([*arguments, ""]) if word == "--as"]
+    named += [word.removeprefix("--as=") for word in arguments if word.startswith("--as=")]
+    kind = getattr(signature(function).parameters.get("config"), "default", None)
+    if not named or not isinstance(kind, PlanOptions | TrainOptions):
+        return function
+    return partial(function, config=type(kind).of(named[-1]))
 
 
 def overview() -> str:

@@ -8,37 +8,45 @@ import numpy as np
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.options import refuse_out_of_range
 from preimage.cli.screen import bar
 from preimage.compute.devices import Device, place_of
 from preimage.data.sources import find_percept
 from preimage.evaluation import demo as demonstration_of_it_all
-from preimage.ideas.waypoints import join, plan_in_turn
-from preimage.method.plan import PlanConfig
+from preimage.ideas.waypoints import join
+from preimage.presets import PlanOptions, Preset, load_planner
 from preimage.records import Percept, Plan, number_of
 from preimage.report import figure, film
 from preimage.robot import Arm
 from preimage.robot.execution import execute
 from preimage.robot.limits import commands_of, limits_seen, read_limits
 from preimage.storage.plans import load_plan, save_episode, save_plan
-from preimage.storage.runs import BUNDLED, find_run, load_model, read_body, read_shown, read_view
+from preimage.storage.runs import BUNDLED, find_run, read_body, read_shown, read_view
 
 BundledTask = Annotated[str, tyro.conf.arg(help=f"which of the bundled models: {' or '.join(BUNDLED)}.")]
 
 
-def demo(task: BundledTask = "reach", goals: int = 5, seed: int = 7, out: Path = Path("demo")) -> None:
+def demo(
+    task: BundledTask = "reach",
+    goals: int = 5,
+    seed: int = 7,
+    out: Path = Path("demo"),
+    as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
+    config: Annotated[PlanOptions, tyro.conf.arg(name="")] = PlanOptions.full(),  # noqa: B008, frozen
+) -> None:
     """Let the bundled model plan to goals it never saw, execute the plans, and show films and a report.
 
     Args:
         goals: how many goals.
         seed: draws the goals.
         out: folder for films, figures and report.html.
+        as_: paper is the paper's method alone, regression network and search without memory, full all ideas; what is given besides changes
+        it. config: how the plans are searched for.
     """
     if task not in BUNDLED:
         raise ValueError(f"there is no bundled model of {task}; there are {', '.join(BUNDLED)}")
     with bar() as progress:
         shown = progress.add_task("planning and executing", total=goals)
-        report = demonstration_of_it_all.run(task, goals=goals, seed=seed, out=out, progress=lambda: progress.advance(shown))
+        report = demonstration_of_it_all.run(task, config, goals=goals, seed=seed, out=out, progress=lambda: progress.advance(shown))
     for line in report.lines:
         print(line)
     print(f"open {report.page}")
@@ -52,7 +60,8 @@ def plan_(
     goal_joints: tuple[float, ...] | None = None,
     joint_limits: Path | None = None,
     device: Device = "cpu",
-    config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
+    as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
+    config: Annotated[PlanOptions, tyro.conf.arg(name="")] = PlanOptions.full(),  # noqa: B008, frozen
 ) -> None:
     """Imagine a way to a goal, or to several in a row.
 
@@ -65,12 +74,13 @@ def plan_(
         goal_joints: joint angles of the goal (rad), for --modalities joints or both.
         joint_limits: JSON of what may be commanded, joint by joint: lower, upper, velocity or step; by default what was demonstrated.
         device: what computes; of a small network the CPU has a plan before a GPU has made ready.
-        config: how the plan is searched for.
+        as_: paper is the paper's method alone, regression network and search without memory, full all ideas; what is given besides changes
+        it. config: how the plan is searched for.
     """
-    refuse_out_of_range(config)
     refuse_useless_joints(goal_joints, num_goals=len(goal), modalities=config.modalities)
     folder = find_run(run)  # once, so that all parts of a run on the Hub are of one revision
-    model, view, body = load_model(folder).to(place_of(device)), read_view(folder), read_body(folder)
+    planner, view, body = load_planner(folder, config, device=place_of(device)), read_view(folder), read_body(folder)
+    model = planner.model
     limits = limits_seen(model.sensors, read_shown(folder), unit=body.joint_unit)
     if joint_limits:
         limits = read_limits(joint_limits, limits, rate_hz=model.config.rate_hz)
@@ -79,7 +89,7 @@ def plan_(
     if goal_joints is not None:
         goals = [Percept(goals[0].frame, np.array(goal_joints))]
     begin = find_percept(start, model.sensors, view=view, default_step=0).percept if start else None
-    legs = plan_in_turn(model, start=begin, goals=goals, config=config)
+    legs = planner.plan_in_turn(start=begin, goals=goals)
     found = join(legs)
     commands, limited = commands_of(found, limits)
     save_plan(found, out, scene=wanted[-1].scene, commands=commands)

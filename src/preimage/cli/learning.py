@@ -7,18 +7,16 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.options import refuse_out_of_range
 from preimage.cli.screen import bar, known_task
 from preimage.compute.devices import Device
 from preimage.compute.processes import gather
 from preimage.data.dataset import fingerprint, open_recordings, read_episodes, save
 from preimage.data.view import View
-from preimage.evaluation.experiments import SIZES
 from preimage.evaluation.held_out import every_nth
 from preimage.examination import examine
 from preimage.method.train import Progress as Told
-from preimage.method.train import TrainConfig, train
 from preimage.network.config import ModelConfig
+from preimage.presets import Preset, TrainOptions, network_config, train
 from preimage.records import number_of
 from preimage.report import examined_page, learning_curve
 from preimage.robot import TASKS, Arm, record, with_frames
@@ -79,13 +77,15 @@ def train_(
     num_nodes: int = 1,
     hold_out: int = 0,
     rate_hz: float | None = None,
+    intention: Literal["latent", "free"] | None = None,
     intention_dimensions: int | None = None,
     intention_cost: float | None = None,
     intention_layers: tuple[str, ...] | None = None,
     seen_channels: int | None = None,
     keypoints: int | None = None,
     view: View = View(),  # noqa: B008, frozen
-    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008, frozen
+    as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
+    config: Annotated[TrainOptions, tyro.conf.arg(name="")] = TrainOptions(),  # noqa: B008, frozen
 ) -> None:
     """Train a network on the demonstrations of a data set.
 
@@ -99,29 +99,35 @@ def train_(
         num_nodes: machines with as many processes each, started by torchrun or Slurm.
         hold_out: every Nth episode is not trained on but kept for `preimage evaluate --data`; 0 trains on all.
         rate_hz: steps a second that the model runs at, instead of the size's own.
+        intention: latent, a few Gaussian numbers, or free, the initial states themselves, as in the paper.
         intention_dimensions: numbers that make an intention, instead of the size's own.
-        intention_cost: charge for what an intention tells, instead of the size's own: more where most can be seen at the start.
+        intention_cost: charge for the information in an intention, instead of the size's own: more where most can be seen at the start.
         intention_layers: layers whose initial states are the intention, instead of the size's own: top where most can be seen.
         seen_channels: feature maps that carry vision to the motors, instead of the size's own.
         keypoints: points whose places go from vision to the motors besides, for small things that have to be found; none by default.
         view: how the recordings are looked at.
+        as_: paper is the paper's network and learning alone; regression and full begin with a latent intention.
         config: how the network learns.
     """
-    refuse_out_of_range(config)
     opened = open_recordings(data, view=read_view(out) if resume else view)
     recorded, lines = opened.demonstrations, list(opened.told)
     learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "held_out": every_nth(len(recorded), hold_out)}
-    room = {"intention_dimensions": intention_dimensions, "intention_cost": intention_cost, "intention_layers": intention_layers}
-    model_config = sized(size, rate_hz=rate_hz, seen_channels=seen_channels, keypoints=keypoints, **room)
+    capacity = {
+        "intention": intention,
+        "intention_dimensions": intention_dimensions,
+        "intention_cost": intention_cost,
+        "intention_layers": intention_layers,
+    }
+    model_config = sized(size, as_, rate_hz=rate_hz, seen_channels=seen_channels, keypoints=keypoints, **capacity)
     if resume:
         learned_from = begun_with(out, data, learned_from["fingerprint"])
-        asked, config = config, read_settings(TrainConfig, out, "train")
+        asked, config = config, read_settings(TrainOptions, out, "train")
         model_config = read_settings(ModelConfig, out, "model")
-        if asked not in (TrainConfig(), config):
+        if asked not in (TrainOptions(), config):
             lines.append(f"{out} goes on with the settings it was started with; those given now are left aside")
     held_out = learned_from.get("held_out", [])
     demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
-    about = {"size": size, "num_demonstrations": len(demonstrations), "data": learned_from}
+    about = {"size": size, "preset": as_, "num_demonstrations": len(demonstrations), "data": learned_from}
     crew = gather(devices=devices, num_nodes=num_nodes, device=device)
     about |= {"view": asdict(opened.view), "body": asdict(opened.body)}
     about |= {"task": task_of(demonstrations), "provenance": provenance(crew.device)}
@@ -134,7 +140,7 @@ def train_(
             errors = f"training  vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}"
             progress.update(shown, completed=told.update, description=errors)
 
-        train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell, crew=crew)
+        train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell, group=crew)
     if not crew.first:
         return
     learning_curve(out / "log.jsonl", out / "learning_curve.png")
@@ -143,11 +149,9 @@ def train_(
     print(f"trained on {number_of(len(demonstrations), 'demonstration')}{left_out}; the run is in {out}")
 
 
-def sized(size: str, **asked: Any) -> ModelConfig:
-    """The network of a size, with what was asked for in place of its own; ValueError where that is out of range."""
-    config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
-    refuse_out_of_range(config)
-    return config
+def sized(size: str, preset: Preset, **asked: Any) -> ModelConfig:
+    """The network of a size and a preset, with what was asked for in place of its own; ValueError where that is out of range."""
+    return replace(network_config(size, preset), **{name: value for name, value in asked.items() if value is not None})
 
 
 def begun_with(out: Path, data: Path, now: str) -> dict[str, Any]:

@@ -8,21 +8,21 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.options import refuse_out_of_range
 from preimage.cli.screen import bar, console, known_task
 from preimage.compute.devices import Device, place_of
 from preimage.compute.processes import Crew, gather
 from preimage.evaluation.bench import bench
 from preimage.evaluation.evaluate import Evaluated, Loop, evaluate, result_of
-from preimage.evaluation.experiments import cells_of, paper_of, reproduce
+from preimage.evaluation.experiments import reproduce
 from preimage.evaluation.held_out import compare_run
-from preimage.method.plan import PlanConfig
+from preimage.evaluation.recipes import cells_of, paper_of
 from preimage.method.train import Progress as Told
+from preimage.presets import PlanOptions, Preset, load_planner
 from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS, Arm, with_frames
 from preimage.storage.atomic_write import write_json
 from preimage.storage.provenance import provenance
-from preimage.storage.runs import find_run, load_model, made_from, read_shown
+from preimage.storage.runs import find_run, made_from, read_shown
 
 
 def evaluate_(
@@ -36,7 +36,8 @@ def evaluate_(
     loop: Loop = "closed",
     device: Device = "auto",
     devices: int = 1,
-    config: Annotated[PlanConfig, tyro.conf.arg(name="")] = PlanConfig(),  # noqa: B008, frozen
+    as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
+    config: Annotated[PlanOptions, tyro.conf.arg(name="")] = PlanOptions.full(),  # noqa: B008, frozen
 ) -> None:
     """Count how often plans to goals that were never shown arrive, beside what luck would give.
 
@@ -53,20 +54,21 @@ def evaluate_(
         loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from what the tutor saw.
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share the goals.
-        config: how the plans are searched for.
+        as_: paper is the paper's method alone, regression network and search without memory, full all ideas; what is given besides changes
+        it. config: how the plans are searched for.
     """
     known_task(task)
-    refuse_out_of_range(config)
     if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     crew = gather(devices=devices, num_nodes=1, device=device)
     if data is not None:
         return compare_with(data, run, out, films, config, crew)
     folder = find_run(run)
-    model, learned_from, made = load_model(folder).to(crew.device), read_shown(folder), made_from(folder)
-    about = {"task": task, "model": run} | made
-    filmed = with_frames(TASKS[task], model.sensors.height)
-    about |= {"seed": seed, "loop": loop, "pixels": model.sensors.height, "paper": paper_of(task, made["num_demonstrations"], loop)}
+    planner, learned_from, made = load_planner(folder, config, device=crew.device), read_shown(folder), made_from(folder)
+    about = {"task": task, "model": run, "preset": as_} | made
+    pixels = planner.model.sensors.height
+    filmed = with_frames(TASKS[task], pixels)
+    about |= {"seed": seed, "loop": loop, "pixels": pixels, "paper": paper_of(task, made["num_demonstrations"], loop)}
     about |= {"plan": asdict(config), "provenance": provenance(crew.device)}
     mine = len(crew.share(goals))
     with bar(shown=crew.first) as progress:
@@ -80,9 +82,7 @@ def evaluate_(
             if crew.first and not console.is_terminal and len(reached) % 10 == 0:
                 print(f"{so_far}, {mine - len(reached)} goals left", file=sys.stderr, flush=True)
 
-        evaluated = evaluate(
-            model, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, config=config, loop=loop, progress=tell, crew=crew
-        )
+        evaluated = evaluate(planner, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, loop=loop, progress=tell, crew=crew)
     if not crew.first:
         return
     result = result_of(evaluated, about)
@@ -92,7 +92,7 @@ def evaluate_(
         print(summary(name, baseline))
 
 
-def compare_with(data: Path, run: str, out: Path, films: Path | None, config: PlanConfig, crew: Crew) -> None:
+def compare_with(data: Path, run: str, out: Path, films: Path | None, options: PlanOptions, crew: Crew) -> None:
     """The part of `evaluate` that needs no simulator."""
     with bar(shown=crew.first) as progress:
         shown = progress.add_task("planning", total=None)
@@ -100,7 +100,7 @@ def compare_with(data: Path, run: str, out: Path, films: Path | None, config: Pl
         def tell(done: int, of_all: int) -> None:
             progress.update(shown, completed=done, total=of_all)
 
-        lines = compare_run(run, data, out=out, film_folder=films, config=config, progress=tell, crew=crew)
+        lines = compare_run(run, data, out=out, film_folder=films, options=options, progress=tell, crew=crew)
     if crew.first:
         print("\n".join(lines))
 

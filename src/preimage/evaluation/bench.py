@@ -5,7 +5,6 @@ sequence steps a second (one step of one sequence, forward and backward) and as 
 request to the plan.
 """
 
-import resource
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from preimage.evaluation.evaluate import Evaluated, evaluate, result_of
+from preimage.presets import PlanOptions, load_planner
 from preimage.records import number_of
 from preimage.report import Case, figure, film, page
 from preimage.robot import TASKS, Arm
 from preimage.storage.atomic_write import write_json
-from preimage.storage.runs import find_run, load_model, made_from, read_shown
+from preimage.storage.runs import find_run, made_from, read_shown
 
 
 @dataclass(frozen=True)
@@ -20,10 +21,10 @@ class Report:
     lines: tuple[str, ...]
 
 
-def run(name: str, *, goals: int, seed: int, out: Path, progress: Callable[[], None]) -> Report:
+def run(name: str, options: PlanOptions, *, goals: int, seed: int, out: Path, progress: Callable[[], None]) -> Report:
     """Plan with a bundled model, execute, and write films, figures, result.json and report.html into `out`."""
     folder = find_run(name)
-    model, arm, task = load_model(folder), Arm(), TASKS[name]
+    planner, arm, task = load_planner(folder, options), Arm(), TASKS[name]
     cases: list[Case] = []
     lines: list[str] = []
 
@@ -35,7 +36,7 @@ def run(name: str, *, goals: int, seed: int, out: Path, progress: Callable[[], N
         lines.append(f"{case.name}: {verdict}, {100 * case.deviation_m:.1f} cm off, {took}, film {case.film}")
         progress()
 
-    evaluated = evaluate(model, arm, task, goals=goals, seed=seed, shown=read_shown(folder), progress=show)
+    evaluated = evaluate(planner, arm, task, goals=goals, seed=seed, shown=read_shown(folder), progress=show)
     about = {"task": name, "model": name, "seed": seed, "loop": "closed"} | made_from(folder)
     result = result_of(evaluated, about)
     write_json(out / "result.json", result)

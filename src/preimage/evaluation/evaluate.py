@@ -18,9 +18,8 @@ from jaxtyping import Float
 
 from preimage.compute.processes import Crew
 from preimage.data.sequences import at_rate
-from preimage.method.one_step import follow
-from preimage.method.plan import PlanConfig, horizon_of, imagine_library, imagine_without_goal, plan
-from preimage.network.pdvmrnn import PDVMRNN
+from preimage.method.config import Modalities
+from preimage.presets import Planner
 from preimage.records import Demonstration, Percept, Plan, Shown, Trial
 from preimage.robot import Arm, Task, record, succeeds_within
 from preimage.robot.execution import execute, execute_open_loop, play
@@ -81,14 +80,13 @@ def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[f
 
 
 def evaluate(
-    model: PDVMRNN,
+    planner: Planner,
     arm: Arm,
     task: Task,
     *,
     goals: int,
     seed: int,
     shown: Sequence[Shown],
-    config: PlanConfig | None = None,
     loop: Loop = "closed",
     policies: Policies | None = None,
     progress: Callable[[Evaluated], None] | None = None,
@@ -107,79 +105,77 @@ def evaluate(
     Raises:
         ProcessLost: another process of the crew is no longer there.
     """
-    config = config or PlanConfig()
-    library = imagine_library(model, config=config)
     recorded, evaluated = record(arm, task, count=goals, seed=seed), dict[int, Evaluated]()
     for goal in crew.share(goals).tolist():
         demonstration = recorded[goal]
-        found = plan(model, start=demonstration.first, goal=goal_of(demonstration, config), config=config, library=library)
-        trial = carry_out(model, found, arm, task, demonstration, loop, config)
-        baselines = dict(baselines_of(model, arm, task, demonstration, found, shown, policies or {}, config))
+        found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner.options.modalities))
+        trial = carry_out(planner, found, arm, task, demonstration, loop)
+        baselines = dict(baselines_of(planner, arm, task, demonstration, found, shown, policies or {}))
         evaluated[goal] = Evaluated(demonstration, found, trial, baselines)
         if progress:
             progress(evaluated[goal])
     return crew.together(evaluated)
 
 
-def carry_out(model: PDVMRNN, found: Plan, arm: Arm, task: Task, demonstration: Demonstration, loop: Loop, config: PlanConfig) -> Trial:
+def carry_out(planner: Planner, found: Plan, arm: Arm, task: Task, demonstration: Demonstration, loop: Loop) -> Trial:
     """Execute a plan in one of the loops."""
     assert demonstration.scene is not None
     if loop == "closed":
         return execute(found, arm, demonstration.scene, task=task)
-    policy = follow(model, found, config=config)
+    policy = planner.follow(found)
     if loop == "recorded":
         recorded = at_rate(demonstration, found.rate_hz)
         joints = np.stack([recorded.joints[0], *(policy(recorded[step]) for step in range(len(recorded) - 1))])
         return play(joints, found.rate_hz, arm, demonstration.scene, task=task)
-    num_steps = horizon_of(model, config) - 1
+    num_steps = len(found) - 1
     return execute_open_loop(policy, arm, demonstration.scene, num_steps=num_steps, rate_hz=found.rate_hz, task=task)
 
 
 def baselines_of(
-    model: PDVMRNN,
+    planner: Planner,
     arm: Arm,
     task: Task,
     demonstration: Demonstration,
     found: Plan,
     shown: Sequence[Shown],
     policies: Policies,
-    config: PlanConfig,
 ) -> Iterator[tuple[str, Trial]]:
     """What would have been reached otherwise."""
-    scene, num_steps = demonstration.scene, horizon_of(model, config)
+    scene, num_steps = demonstration.scene, len(found)
     assert scene is not None
     yield "do_nothing", play(demonstration.joints[:1], demonstration.rate_hz, arm, scene, task=task)
     nearest = nearest_shown(shown, demonstration.last)
     yield "nearest_demonstration", play(nearest.joints, nearest.rate_hz, arm, scene, task=task)
-    if found.recalled is not None:
-        switch = int(model.switching[0]) if len(found.recalled) > 1 else None
-        straight = straight_through(np.vstack([demonstration.joints[:1], found.recalled]), num_steps, switch=switch)
-        yield "recalled_joints", play(straight, model.config.rate_hz, arm, scene, task=task)
-    yield "prior_mean", execute(imagine_without_goal(model, demonstration.first, config=config), arm, scene, task=task)
+    if found.expected_joints is not None:
+        assert planner.memory is not None
+        gripper = planner.memory.event_joint if len(found.expected_joints) > 1 else None
+        straight = straight_through(np.vstack([demonstration.joints[:1], found.expected_joints]), num_steps, gripper=gripper)
+        yield "memory_alone", play(straight, found.rate_hz, arm, scene, task=task)
+    yield "prior_mean", execute(planner.imagine_without_goal(demonstration.first), arm, scene, task=task)
     for name, policy_to in policies.items():
         policy = policy_to(Percept(demonstration.last.frame))
-        yield name, execute_open_loop(policy, arm, scene, num_steps=num_steps - 1, rate_hz=model.config.rate_hz, task=task)
+        yield name, execute_open_loop(policy, arm, scene, num_steps=num_steps - 1, rate_hz=found.rate_hz, task=task)
 
 
-def straight_through(points: Float[np.ndarray, "M J"], num_steps: int, *, switch: int | None) -> Float[np.ndarray, "T J"]:
+def straight_through(points: Float[np.ndarray, "M J"], num_steps: int, *, gripper: int | None) -> Float[np.ndarray, "T J"]:
     """A way straight from each point to the next, all legs as long.
 
     Args:
-        switch: the joint that stays as it was until a point is reached, and is given a step for it there.
+        gripper: the joint that stays as it was until a point is reached, and is given a step for it there.
     """
     legs = [points[:1]]
     for here, there in itertools.pairwise(points):
         reached = there.copy()
-        if switch is not None:
-            reached[switch] = here[switch]
+        if gripper is not None:
+            reached[gripper] = here[gripper]
         legs += [np.linspace(here, reached, max(2, num_steps // (len(points) - 1)))[1:], there[None]]
     return np.concatenate(legs)
 
 
-def goal_of(demonstration: Demonstration, config: PlanConfig) -> Percept:
+def goal_of(demonstration: Demonstration, modalities: Modalities) -> Percept:
     """The last percept, without the modalities that the planner is not to see."""
     last = demonstration.last
-    return Percept(last.frame if config.modalities != "joints" else None, last.joints if config.modalities != "vision" else None)
+    return Percept(last.frame if modalities != "joints" else None, last.joints if modalities != "vision" else None)
 
 
 def nearest_shown(shown: Sequence[Shown], goal: Percept) -> Shown:

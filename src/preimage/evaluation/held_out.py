@@ -25,13 +25,12 @@ from preimage.compute.processes import Crew
 from preimage.data.dataset import fingerprint, load
 from preimage.data.sequences import at_rate
 from preimage.evaluation.evaluate import goal_of, nearest_shown
-from preimage.method.plan import PlanConfig, imagine_library, imagine_without_goal, plan
-from preimage.network.pdvmrnn import PDVMRNN
+from preimage.presets import Planner, PlanOptions, load_planner
 from preimage.records import Demonstration, Plan, Shown, number_of
 from preimage.report import film
 from preimage.storage.atomic_write import write_json
 from preimage.storage.provenance import provenance
-from preimage.storage.runs import find_run, load_model, made_from, read_config, read_shown, read_view
+from preimage.storage.runs import find_run, made_from, read_config, read_shown, read_view
 
 NOTE = "How near what is imagined comes to what was recorded. This is no success rate: no robot moved, and other ways may lead there too."
 NUM_MOMENTS = 50
@@ -100,11 +99,10 @@ def never_shown(demonstrations: Sequence[Demonstration], shown: Sequence[Shown])
 
 
 def compare(
-    model: PDVMRNN,
+    planner: Planner,
     demonstrations: Mapping[int, Demonstration],
     *,
     shown: Sequence[Shown],
-    config: PlanConfig | None = None,
     progress: Callable[[Compared], None] | None = None,
     crew: Crew = Crew(),  # noqa: B008, frozen
 ) -> list[Compared]:
@@ -120,16 +118,15 @@ def compare(
         ValueError: the recordings have other joints or frames than the model's.
         ProcessLost: another process of the crew is no longer there.
     """
-    config = config or PlanConfig()
+    model = planner.model
     for episode, one in demonstrations.items():
         if one.joint_names != model.sensors.joint_names:
             raise ValueError(f"episode {episode} has joints {one.joint_names}, the model was trained with {model.sensors.joint_names}")
-    library = imagine_library(model, config=config)
     compared, episodes = dict[int, Compared](), list(demonstrations)
     for episode in (episodes[number] for number in crew.share(len(episodes))):
         one = demonstrations[episode]
-        found = plan(model, start=one.first, goal=goal_of(one, config), config=config, library=library)
-        baselines = {name: errors_of(one, way) for name, way in baselines_of(model, one, found, shown, config).items()}
+        found = planner.plan(start=one.first, goal=goal_of(one, planner.options.modalities))
+        baselines = {name: errors_of(one, way) for name, way in baselines_of(planner, one, found, shown).items()}
         by_joint = np.abs(found.joints[found.arrival_step] - one.joints[-1])
         compared[episode] = Compared(episode, one, found, errors_of(one, way_of(found)), by_joint, baselines)
         if progress:
@@ -143,7 +140,7 @@ def compare_run(
     *,
     out: Path,
     film_folder: Path | None,
-    config: PlanConfig,
+    options: PlanOptions,
     progress: Callable[[int, int], None],
     crew: Crew = Crew(),  # noqa: B008, frozen
 ) -> list[str]:
@@ -160,7 +157,8 @@ def compare_run(
         ValueError: there is no such run or data set, they do not fit together, or every episode was trained on.
     """
     folder = find_run(run)
-    model, shown, recorded = load_model(folder).to(crew.device), read_shown(folder), load(data, view=read_view(folder))
+    planner = load_planner(folder, options, device=crew.device)
+    shown, recorded = read_shown(folder), load(data, view=read_view(folder))
     episodes = never_shown(recorded, shown)
     if not episodes:
         raise ValueError(f"{run} was trained on every episode of {data}: train with --hold-out 4, or give other recordings")
@@ -171,9 +169,9 @@ def compare_run(
         progress(len(done), len(crew.share(len(episodes))))
 
     chosen = {episode: recorded[episode] for episode in episodes}
-    compared = compare(model, chosen, shown=shown, config=config, progress=tell, crew=crew)
+    compared = compare(planner, chosen, shown=shown, progress=tell, crew=crew)
     result = result_of_comparison(
-        compared, about_run(run, folder, data, recorded) | {"plan": asdict(config), "provenance": provenance(crew.device)}
+        compared, about_run(run, folder, data, recorded) | {"plan": asdict(options), "provenance": provenance(crew.device)}
     )
     if not crew.first:
         return []
@@ -275,13 +273,13 @@ def way_of(plan: Plan) -> Way:
     return Way(plan.joints[:end], plan.frames[end - 1], plan.frames[:end])
 
 
-def baselines_of(model: PDVMRNN, one: Demonstration, found: Plan, shown: Sequence[Shown], config: PlanConfig) -> dict[str, Way]:
+def baselines_of(planner: Planner, one: Demonstration, found: Plan, shown: Sequence[Shown]) -> dict[str, Way]:
     nearest = nearest_shown(shown, one.last)
-    recalled = {} if found.recalled is None else {"recalled_joints": Way(np.vstack([one.joints[:1], found.recalled]))}
+    expected = {} if found.expected_joints is None else {"memory_alone": Way(np.vstack([one.joints[:1], found.expected_joints]))}
     return {
         "nearest_demonstration": Way(nearest.joints, nearest.last_frame),
-        **recalled,
-        "prior_mean": way_of(imagine_without_goal(model, one.first, config=config)),
+        **expected,
+        "prior_mean": way_of(planner.imagine_without_goal(one.first)),
         "staying": Way(one.joints[:1], one.frames[0], one.frames[:1]),
     }
 

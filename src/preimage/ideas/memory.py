@@ -1,157 +1,245 @@
-"""Where a search for a goal begins, and which joints it expects there: both from memory of how the demonstrations end.
+"""Memory of the demonstrations: how they begin and end, and where they open or close a gripper. It lies beside the network, never in it.
 
-The nearer the search begins, the fewer iterations it needs and the fewer valleys lie between. The picture of an arm a little further to
-the left is not between the pictures of two arms; the intention of the way there is, nearly, between their intentions, and so are the
-joints in which it ends. What is recalled (`ideas.kriging`) is the first of the guesses, and other joints than the recalled ones cost.
+The picture of an arm a little further to the left is not between the pictures of two arms; the joints in which it stands are, nearly,
+between their joints. What goes with a picture is found by kriging (`ideas.kriging`) among the demonstrations, by what has come to stand in
+the picture from start to end: whatever lies about and stays does not count, nor what is gone.
 
-Remembered is what has come to stand in the picture from start to end: whatever lies about and stays does not count, nor what is gone.
-Where the plan begins with other joints than the demonstrations did, other things change, and how the model imagines its training sequences
-from there stands in.
+Where a plan begins in joints in which no demonstration begins, other things change in the picture, and how the network imagines its
+training sequences from there stands in for the demonstrations (`from_rollouts`).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from preimage.data.sequences import Sequences
+from preimage.ideas.gripper_events import find_events
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
-from preimage.ideas.kriging import Recalled, View, in_own_units, recall
-from preimage.method.prediction_error import VISUAL_WEIGHT, ExpectedJoints, ToGoal, felt_apart, visual_error
-from preimage.network.coding import JointCoding
-from preimage.network.pdvmrnn import PDVMRNN, Generated, Sensed
+from preimage.ideas.kriging import Prediction, View, in_own_units, krige
+from preimage.method.prediction_error import VISUAL_WEIGHT, proprioceptive_error, sensed_log
+from preimage.method.seam import Objective, Problem
+from preimage.network.coding import JointCoding, to_pixels
+from preimage.network.pdvmrnn import Sensed
+
+SAME_JOINTS = 0.1
+"""Joints nearer than this to each other, in the error of their codes, are as good as the same (nats)."""
+NETWORK_DEVIATION = 0.15
+"""How far a network's imagined ending is taken to be off, as a share of how much endings differ."""
+FINEST = 0.005
+"""Share of a joint's range below which no estimate is sharper: a code does not resolve it more finely."""
+FIRST_JOINTS_WEIGHT = 0.5
+"""What a difference of first joints counts beside one of last pictures, each in its usual size."""
 
 
 @dataclass(frozen=True, eq=False)
-class Library:
-    """What is known of the demonstrations, to begin a search from one start: how they end, and what the model imagines for each of them."""
+class Estimate:
+    """What a memory says about joints: a Gaussian each, in the joints' units."""
 
-    start: Sensed
-    num_steps: int
-    """How far ahead it looks."""
-    imagine: Callable[[], Generated]
-    """Imagines all of it, which takes as long as a search or longer: asked when it is needed, and once."""
+    mean: Float[Tensor, " J"]
+    deviation: Float[Tensor, " J"]
+    """How far they may be off; infinite where nothing is known."""
+    network_deviation: Float[Tensor, " J"]
+    """How far the joints that a network imagines there may be off."""
+
+
+@dataclass(frozen=True, eq=False)
+class DemonstrationMemory:
+    """What is kept of N demonstrations, pictures coarsely (`ideas.image_features`)."""
+
     background: Float[Tensor, "C H W"]
-    """What is seen where nothing came to stand."""
+    """Median of the last frames: what is seen where nothing came to stand."""
     arrivals: Float[Tensor, "N D h w"]
-    """What has come to stand in the picture at the end of each sequence, coarsely seen."""
-    lasts: Float[Tensor, "N C h w"]
-    """The picture at the end of each, coarsely seen."""
-    firsts: Float[Tensor, "N J"]
-    """The joints in which each begins (rad)."""
-    ends: Float[Tensor, "N J"]
-    """The joints in which each ends (rad)."""
+    """What has come to stand in each last frame."""
+    last_frames: Float[Tensor, "N C h2 w2"]
+    first_joints: Float[Tensor, "N J"]
+    final_joints: Float[Tensor, "N J"]
+    start_distance: Float[Tensor, ""]
+    """Nine in ten demonstrations begin with joints nearer than this to those of another (nats)."""
+    first_background: Float[Tensor, "C H W"]
+    """Median of the first frames."""
+    first_objects: Float[Tensor, "N D h w"]
+    """What stands in each first frame."""
+    event_joints: Float[Tensor, "N K J"]
+    """Joints at each of the K gripper events that all demonstrations have in common."""
+    event_joint: int = 0
+    """The joint that opens and closes, where there are such events."""
+    _last: list["Recollection"] = field(default_factory=list, repr=False)
 
-    def serves(self, start: Sensed, num_steps: int) -> bool:
-        """Whether a plan may begin at this start as well: it looks as far ahead, and nothing that can be seen or felt stands elsewhere."""
-        alike = bool(visual_error(self.start[0], start[0]) < SAME_VISUAL) and feel_alike(self.start[1], start[1])
-        return alike and self.num_steps == num_steps
+    @classmethod
+    def of(cls, sequences: Sequences, coding: JointCoding) -> Self:
+        """The memory of demonstrations at a model's rate, padded (`data.sequences.pad`)."""
+        first, last = to_pixels(sequences.frames[:, 0]), to_pixels(sequences.frames[:, -1])
+        joints, background, first_background = sequences.joints, last.median(0).values, first.median(0).values
+        events = find_events(joints)
+        rows = torch.arange(len(joints))[:, None]
+        return cls(
+            background=background,
+            arrivals=arrived(first, last, background),
+            last_frames=blurred(last, BLUR),
+            first_joints=joints[:, 0],
+            final_joints=joints[:, -1],
+            start_distance=torch.tensor(usual_distance(coding.encode(joints[:, 0]))),
+            first_background=first_background,
+            first_objects=apart(first - first_background),
+            event_joints=joints[rows, events.steps] if events else joints[:, :0],
+            event_joint=events.joint if events else 0,
+        )
 
-    @cached_property
-    def imagined(self) -> Generated:
-        """What the model imagines for each of its training intentions."""
-        return self.imagine()
+    def tensors(self) -> dict[str, Tensor]:
+        """All there is to save."""
+        kept = {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}
+        return kept | {"event_joint": torch.tensor(self.event_joint)}
+
+    @classmethod
+    def from_tensors(cls, tensors: Mapping[str, Tensor]) -> Self:
+        """What was saved.
+
+        Raises:
+            KeyError, TypeError: a tensor is missing, or there is one too many.
+        """
+        others = {name: value for name, value in tensors.items() if name != "event_joint"}
+        return cls(**others, event_joint=int(tensors["event_joint"]))  # pyright: ignore[reportArgumentType]
+
+    def to(self, device: torch.device) -> Self:
+        """The same on a device."""
+        return self.from_tensors({name: value.to(device) for name, value in self.tensors().items()})
 
     @property
-    def at_hand(self) -> Generated | None:
-        """The same, if it has been needed before."""
-        return vars(self).get("imagined")
+    def num_events(self) -> int:
+        return self.event_joints.shape[1]
+
+    def about(self, problem: Problem) -> "Recollection":
+        """What it says about a problem; the last answer is kept, for several ideas ask the same."""
+        if not (self._last and self._last[0].problem is problem):
+            self._last[:] = [Recollection(self, problem)]
+        return self._last[0]
+
+    def knows_start(self, start: Sensed, coding: JointCoding) -> bool:
+        """Whether a start is as near to that of a demonstration as most of them are to each other."""
+        nearest = code_distance(coding.encode(self.first_joints), start[1]).min()
+        return nearest.item() < max(self.start_distance.item(), SAME_JOINTS)
+
+    def from_rollouts(self, problem: Problem) -> Self:
+        """How the network imagines its training sequences from the problem's start, as if these had been the demonstrations."""
+        imagined, coding = problem.rollouts, problem.model.coding
+        last = imagined.pixels[:, -1]
+        first_joints = coding.decode(problem.start[1]).repeat(len(last), 1)  # not expanded, of which torch 2.13 takes a wrong median
+        return replace(
+            self,
+            arrivals=arrived(problem.start[0], last, self.background),
+            last_frames=blurred(last, BLUR),
+            first_joints=first_joints,
+            final_joints=coding.decode(imagined.log_codes[:, -1].exp()),
+            _last=[],
+        )
 
 
-def feel_alike(one: Float[Tensor, "J K"], other: Float[Tensor, "J K"]) -> bool:
-    """Whether joints of these codes are as good as the same."""
-    return bool(felt_apart(one, other) < SAME_PROPRIOCEPTIVE)
+@dataclass(frozen=True, eq=False)
+class Recollection:
+    """What a memory says about one problem, each part worked out when it is first asked for."""
+
+    memory: DemonstrationMemory
+    problem: Problem
+
+    @cached_property
+    def knows_start(self) -> bool:
+        return self.memory.knows_start(self.problem.start, self.problem.model.coding)
+
+    @cached_property
+    def endings(self) -> DemonstrationMemory:
+        """What is compared with the goal: the demonstrations, or what the network imagines from another start."""
+        return self.memory if self.knows_start else self.memory.from_rollouts(self.problem)
+
+    @cached_property
+    def views(self) -> list[View]:
+        return views_of(self.endings, self.problem)
+
+    @cached_property
+    def joints_at_goal(self) -> Estimate:
+        """The joints in which sequences end that end like the goal."""
+        endings = self.endings.final_joints
+        return estimate_of(krige(self.views, endings), endings, self.problem.model.coding)
+
+    @cached_property
+    def coordinates(self) -> Float[Tensor, " K"]:
+        """The intention that goes with the goal, in the problem's space."""
+        return krige(self.views, self.problem.space.training).mean
+
+    @cached_property
+    def joints_at_events(self) -> list[Estimate]:
+        """The joints at the gripper events, by what stands at the start or has come to stand at the goal; none from an unknown start.
+
+        Which of them it is, what is brighter there or what is darker, is found by how well each predicts the demonstrations.
+        """
+        memory, problem = self.memory, self.problem
+        if not self.knows_start:
+            return []
+        standing = apart(problem.start[0] - memory.first_background)
+        come = arrived(problem.start[0], problem.goal[0], memory.background)
+        parts = zip(standing.chunk(2), memory.first_objects.chunk(2, dim=1), strict=True)
+        views = [*parts, (standing, memory.first_objects), (come, memory.arrivals)]
+        flat = [(wanted.flatten(), known.flatten(1)) for wanted, known in views]
+        coding = problem.model.coding
+        return [estimate_of(krige(flat, joints), joints, coding) for joints in memory.event_joints.unbind(1)]
 
 
-def begins_as_shown(model: PDVMRNN, start: Sensed) -> bool:
-    """Whether a start feels like those of the demonstrations, so that what they keep of pictures can be compared.
+@dataclass(frozen=True, eq=False)
+class KrigedGuess:
+    """Begin at the intention that goes with the goal: a mean of the training intentions, weighed by kriging."""
 
-    It is as near to the nearest of them as most of them are to their nearest.
+    memory: DemonstrationMemory
+
+    def __call__(self, problem: Problem, objective: Objective, generator: torch.Generator) -> Float[Tensor, "B K"]:
+        return self.memory.about(problem).coordinates[None]
+
+
+def estimate_of(predicted: Prediction, known: Float[Tensor, "N J"], coding: JointCoding) -> Estimate:
+    """What kriging predicts of joints.
+
+    A joint that was always in one place, as an open gripper, distinguishes goals no better than one of which nothing is known.
     """
-    nearest = felt_apart(model.coding.encode(model.shown_firsts), start[1]).min()
-    return nearest.item() < max(model.starts_apart.item(), SAME_PROPRIOCEPTIVE)
+    spread, finest = known.std(0, unbiased=False), FINEST * (coding.upper - coding.lower)
+    deviation = torch.where(spread < finest, torch.inf, predicted.deviation.maximum(finest))
+    return Estimate(predicted.mean, deviation, NETWORK_DEVIATION * spread)
 
 
-SAME_VISUAL, SAME_PROPRIOCEPTIVE = 10.0, 0.1
-"""Percepts nearer than this to each other, in the errors of `method.prediction_error`, are alike enough to share a library."""
-
-
-def expected_joints(library: Library, objective: ToGoal, coding: JointCoding) -> ExpectedJoints:
-    """The joints with which sequences end that end like the goal: what a picture alone does not say, memory does."""
-    return expected(recall(views_of(library, objective, coding), library.ends), library.ends, coding)
-
-
-def expected_at_switches(model: PDVMRNN, objective: ToGoal) -> list[ExpectedJoints]:
-    """The joints at which the robot switches something on the way, from what stands at the start, or has come to stand at the goal.
-
-    Which of them tells it, what is brighter there or what is darker, is found by how well it tells the demonstrations.
-    """
-    standing, come = apart(objective.start[0] - model.usual_start), arrived(objective.start[0], objective.goal[0], model.background)
-    parts = zip(standing.chunk(2), model.shown_starts.chunk(2, dim=1), strict=True)
-    views = [*parts, (standing, model.shown_starts), (come, model.shown_arrivals)]
-    flat = [(wanted.flatten(), shown.flatten(1)) for wanted, shown in views]
-    shown_joints = model.shown_switches[:, : int(model.switching[1])].unbind(1)
-    return [expected(recall(flat, joints), joints, model.coding) for joints in shown_joints]
-
-
-def expected(recalled: Recalled, shown: Float[Tensor, "N J"], coding: JointCoding) -> ExpectedJoints:
-    """What is recalled of joints, beside what a network that was shown these would be expected to be off.
-
-    A joint that was always in one place, as an open gripper, tells goals apart no better than one of which memory knows nothing.
-    """
-    spread, finest = shown.std(0, unbiased=False), FINEST * (coding.upper - coding.lower)
-    told = torch.where(spread < finest, torch.inf, recalled.deviation.maximum(finest))
-    return ExpectedJoints(coding, recalled.mean, told, imagined=IMAGINED * spread)
-
-
-IMAGINED = 0.15
-"""How far a network's imagined ending is taken to be off, as a share of how much the endings differ."""
-FINEST = 0.005
-"""Share of a joint's range below which no expectation is sharper: a code does not tell it more finely."""
-
-
-def first_guesses(
-    library: Library, objective: ToGoal, coding: JointCoding, coordinates: Float[Tensor, "N K"], *, count: int
-) -> Float[Tensor, "candidates K"]:
-    """The intention that is recalled for the goal; then training intentions, in turn the one nearest to it at any step and when it ends."""
-    recalled = recall(views_of(library, objective, coding), coordinates).mean[None]
-    if count == 1:
-        return recalled
-    at_every_step = objective.goal_error(library.imagined)
-    steps = torch.arange(at_every_step.shape[1], device=at_every_step.device)
-    at_any = (at_every_step * objective.delay_penalty**steps).min(1).values.argsort().tolist()
-    at_end = at_every_step[:, -1].argsort().tolist()
-    in_turn = [row for pair in zip(at_any, at_end, strict=True) for row in pair]
-    nearest = list(dict.fromkeys(in_turn))
-    return torch.cat([recalled, coordinates[nearest]])[:count]
-
-
-def views_of(library: Library, objective: ToGoal, coding: JointCoding) -> list[View]:
+def views_of(memory: DemonstrationMemory, problem: Problem) -> list[View]:
     """How the goal looks and feels among the endings, coarsely.
 
-    Where the sequences begin in different joints, as a robot does that a person brought there, these tell something as well, and the
-    picture as a whole tells more than what changed in it: one begins with another thing in view than the other. That is a second view.
+    Where sequences begin in different joints, as a robot does that a person brought there, these matter as well, and the picture as a
+    whole says more than what changed in it: one begins with another thing in view than the other. That is a second view.
     """
-    wanted = arrived(objective.start[0], objective.goal[0], library.background)
-    seen = VISUAL_WEIGHT**0.5 * torch.cat([wanted[None], library.arrivals]).flatten(1)
-    felt = torch.cat([objective.goal[1][None], coding.encode(library.ends)]).flatten(1)
-    parts = {"vision": [seen], "joints": [felt], "both": [seen, felt]}[objective.modalities]
+    coding, (pixels, codes) = problem.model.coding, problem.goal
+    wanted = arrived(problem.start[0], pixels, memory.background)
+    seen = VISUAL_WEIGHT**0.5 * torch.cat([wanted[None], memory.arrivals]).flatten(1)
+    felt = torch.cat([codes[None], coding.encode(memory.final_joints)]).flatten(1)
+    parts = {"vision": [seen], "joints": [felt], "both": [seen, felt]}[problem.config.modalities]
     views = [torch.cat(parts, 1)]
-    if objective.modalities == "vision" and begin_differently(library, coding):
-        pictures = torch.cat([blurred(objective.goal[0], BLUR)[None], library.lasts]).flatten(1)
-        spread = library.firsts.std(0, unbiased=False).maximum(FINEST * (coding.upper - coding.lower))
-        begun = torch.cat([coding.decode(objective.start[1])[None], library.firsts]) / spread
-        views.append(torch.cat([in_own_units(pictures), BEGUN * in_own_units(begun)], 1))
+    if problem.config.modalities == "vision" and begin_differently(memory, coding):
+        pictures = torch.cat([blurred(pixels, BLUR)[None], memory.last_frames]).flatten(1)
+        spread = memory.first_joints.std(0, unbiased=False).maximum(FINEST * (coding.upper - coding.lower))
+        begun = torch.cat([coding.decode(problem.start[1])[None], memory.first_joints]) / spread
+        views.append(torch.cat([in_own_units(pictures), FIRST_JOINTS_WEIGHT * in_own_units(begun)], 1))
     return [(rows[0], rows[1:]) for rows in views]
 
 
-def begin_differently(library: Library, coding: JointCoding) -> bool:
-    """Whether some sequences feel otherwise at their beginning than most."""
-    usual = coding.encode(library.firsts.median(0).values)
-    return bool((felt_apart(coding.encode(library.firsts), usual) >= SAME_PROPRIOCEPTIVE).any())
+def begin_differently(memory: DemonstrationMemory, coding: JointCoding) -> bool:
+    """Whether some sequences begin in other joints than most."""
+    usual = coding.encode(memory.first_joints.median(0).values)
+    return bool((code_distance(coding.encode(memory.first_joints), usual) >= SAME_JOINTS).any())
 
 
-BEGUN = 0.5
-"""What a difference of first joints counts beside one of last pictures, each in its usual size."""
+def code_distance(codes: Float[Tensor, "*batch J K"], target: Float[Tensor, "*#batch J K"]) -> Float[Tensor, "*batch"]:
+    """How far sensed joints are from others, in the error of their codes (nats)."""
+    return proprioceptive_error(sensed_log(codes), target)
+
+
+def usual_distance(codes: Float[Tensor, "N J K"]) -> float:
+    """The distance within which nine in ten have another (nats); of a single one 0."""
+    distances = torch.stack([proprioceptive_error(sensed_log(codes), one) for one in codes]).fill_diagonal_(torch.inf)
+    return float(distances.amin(1).quantile(0.9)) if len(codes) > 1 else 0.0

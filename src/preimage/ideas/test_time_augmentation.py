@@ -1,7 +1,7 @@
-"""Pictures moved by a part of a pixel or a few, to be looked at again.
+"""Test-time augmentation: a plan's joints are the mean of what is imagined from the start frame and from the same moved a little.
 
 What a network makes of a picture that it never saw is a little off, and off otherwise where the picture lies a little elsewhere. Moved to
-all sides alike, what is told of it differs by as much to one side as to the other, so that the mean of all looks is nearer than one.
+all sides alike, it errs by as much to one side as to the other, so that the mean of all looks is nearer than one.
 
 >>> dot = torch.zeros(1, 1, 4, 4)
 >>> dot[0, 0, 1, 1] = 1.0
@@ -10,10 +10,14 @@ all sides alike, what is told of it differs by as much to one side as to the oth
 """
 
 import itertools
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+
+from preimage.method.seam import Draft, Objective, Problem
+from preimage.network.pdvmrnn import Generated
 
 
 def shifted(pictures: Float[Tensor, "B C H W"], by: Float[Tensor, "B 2"]) -> Float[Tensor, "B C H W"]:
@@ -29,9 +33,27 @@ def shifted(pictures: Float[Tensor, "B C H W"], by: Float[Tensor, "B 2"]) -> Flo
     return nn.functional.grid_sample(pictures, places, padding_mode="border", align_corners=False)
 
 
-def glances(picture: Float[Tensor, "C H W"], by: float) -> Float[Tensor, "looks C H W"]:
-    """A picture as it is, first, and, unless `by` is 0, moved to its eight sides by so many heights of it."""
-    if by == 0:
-        return picture[None]
-    sides = sorted(itertools.product((-1.0, 0.0, 1.0), repeat=2), key=any)  # to no side first
-    return shifted(picture.expand(len(sides), *picture.shape), by * picture.shape[1] * picture.new_tensor(sides))
+@dataclass(frozen=True)
+class TestTimeAugmentation:
+    """The mean over a start frame as it is and moved to its eight sides."""
+
+    __test__ = False  # for pytest, which takes the name for a test's
+    by: float
+    """Heights of a frame by which it is moved."""
+
+    def looks(self, picture: Float[Tensor, "C H W"]) -> Float[Tensor, "looks C H W"]:
+        """A picture as it is, first, and moved to its eight sides."""
+        sides = sorted(itertools.product((-1.0, 0.0, 1.0), repeat=2), key=any)  # to no side first
+        return shifted(picture.expand(len(sides), *picture.shape), self.by * picture.shape[1] * picture.new_tensor(sides))
+
+    @torch.no_grad()
+    def __call__(self, draft: Draft, problem: Problem, objective: Objective) -> Draft:
+        model, pixels = problem.model, self.looks(problem.start[0])
+        start = pixels, problem.start[1].expand(len(pixels), *problem.start[1].shape)
+        intention = draft.intention[torch.zeros(len(pixels), dtype=torch.long)]
+        generated = model.generate_closed_loop(intention, start, num_steps=problem.num_steps, dtype=problem.dtype)
+        first = Generated(generated.pixels[:1], generated.log_codes[:1])
+        error, arrival = (each[0].item() for each in objective.errors(first))
+        joints = model.coding.decode(generated.log_codes.exp()).double().mean(0)
+        unexplained = error / max(objective.to_explain, 1e-9)
+        return Draft(first, joints, int(arrival), error, unexplained, draft.intention, imagined=joints)

@@ -1,19 +1,20 @@
 """Several goals in a row: a plan to each from where the one before arrives, and all of them as one."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from preimage.method.plan import PlanConfig, plan
-from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Percept, Plan
 
 
-def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequence[Percept], config: PlanConfig | None = None) -> list[Plan]:
+def plan_in_turn(plan: Callable[..., Plan], *, start: Percept | None = None, goals: Sequence[Percept]) -> list[Plan]:
     """Plans from each goal to the next: the first from the start, every other from the percept with which the one before arrives.
 
     Nothing is sensed in between: where a plan is wrong, the next one begins wrong.
+
+    Args:
+        plan: from a start and a goal to a plan.
 
     Raises:
         ValueError: there is no goal, or a percept does not fit, as in `plan`.
@@ -22,7 +23,7 @@ def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequenc
         raise ValueError("there is no goal: give one or more")
     legs: list[Plan] = []
     for goal in goals:
-        legs.append(plan(model, start=start, goal=goal, config=config))
+        legs.append(plan(start=start, goal=goal))
         arrival = legs[-1].arrival_step
         start = Percept(legs[-1].frames[arrival], legs[-1].joints[arrival])
     return legs
@@ -31,9 +32,11 @@ def plan_in_turn(model: PDVMRNN, *, start: Percept | None = None, goals: Sequenc
 def join(legs: Sequence[Plan]) -> Plan:
     """Plans that begin where the one before arrives, as one plan to the last goal, which is executed like any other.
 
-    Its error is the sum of theirs, its reason to have stopped that of the leg with the largest error, its intention theirs one after the
-    other: `method.one_step.follow` takes them one by one.
+    Its error is the sum of theirs, its reason to have stopped that of the leg with the largest error; `method.one_step.follow` takes
+    them one by one.
     """
+    if len(legs) == 1:
+        return legs[0]
     last, worst = legs[-1], max(legs, key=lambda leg: leg.error)
     ways = [(leg.frames[: leg.arrival_step + 1], leg.joints[: leg.arrival_step + 1]) for leg in legs[:-1]] + [(last.frames, last.joints)]
     frames, joints = zip(*ways, strict=True)
@@ -49,4 +52,7 @@ def join(legs: Sequence[Plan]) -> Plan:
         stopped=worst.stopped,
         seconds=sum(leg.seconds for leg in legs),
         intention=np.concatenate([leg.intention for leg in legs]),
+        imagined_joints=None,
+        expected_joints=None,
+        legs=tuple(legs),
     )

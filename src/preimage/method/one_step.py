@@ -1,56 +1,69 @@
 """One-step prediction (section III-C): the intention comes from a plan, and the robot's own camera and joints go in step by step.
 
-The paper calls a plan played without looking closed loop, and this open loop. What a plan knows besides what its network imagines, where
-the hand has to be as it grips and at the goal (`ideas.end_correction`), the network does not know: it is told that the robot stands where
-it would stand if the plan were not bent, and what it says is bent as the plan is.
+The paper calls a plan played without looking closed loop, and this open loop. Where a plan's joints are not those that the network
+imagines (`Plan.imagined_joints`), what is predicted differs from what the network predicts in the same way: the network is told that the
+robot stands where it would stand if nothing had been corrected.
 """
 
 import itertools
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.ideas.test_time_augmentation import glances
-from preimage.method.plan import PlanConfig, as_inputs, imagine_at_a_glance, mean_joints
+from preimage.method.plan import as_inputs
 from preimage.network.intention import unflatten
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Percept, Plan
 
+Policy = Callable[[Percept], Float[np.ndarray, " J"]]
+"""From what is sensed to the next joints."""
+Looks = Callable[[Float[Tensor, "C H W"]], Float[Tensor, "looks C H W"]]
 
-def follow(model: PDVMRNN, plan: Plan, *, config: PlanConfig | None = None) -> Callable[[Percept], Float[np.ndarray, " J"]]:
+
+def one_look(pixels: Float[Tensor, "C H W"]) -> Float[Tensor, "looks C H W"]:
+    return pixels[None]
+
+
+@torch.no_grad()
+def follow(model: PDVMRNN, plan: Plan, *, looks: Looks = one_look) -> Policy:
     """A policy that predicts the next joints (rad; gripper: m) from what is sensed, step by step, under the intention of a plan.
 
-    It is asked once a step, first when the robot stands where the plan starts. Each frame is looked at as the start is
-    (`PlanConfig.glance`).
+    It is asked once a step, first when the robot stands where the plan starts. Of several legs, each is followed up to its arrival.
 
     Args:
-        config: what the plan was searched with.
+        looks: the frames that are looked at in place of a sensed one; what is predicted is the mean of all.
     """
-    config = replace(config or PlanConfig(), horizon=len(plan.joints))
+    if plan.legs:
+        return follow_legs(model, plan.legs, looks)
+    corrections = np.zeros_like(plan.joints) if plan.imagined_joints is None else plan.joints - plan.imagined_joints
+    here_and_next = itertools.chain(itertools.pairwise(corrections), itertools.repeat((corrections[-1], corrections[-1])))
     start = as_inputs(model, plan.start, name="start")
     intention = unflatten(torch.from_numpy(plan.intention).to(model.home_joints)[None], model.intention_table.shapes)
-    with torch.no_grad():
-        imagined = imagine_at_a_glance(model, intention, start, config)
-    bends = plan.joints - mean_joints(model, imagined.log_codes).cpu().numpy()
-    here_and_next = itertools.chain(itertools.pairwise(bends), itertools.repeat((bends[-1], bends[-1])))
-    forward, num_looks = model.at(model.pixel_bias.dtype), len(glances(start[0], config.glance))
+    forward, num_looks = model.at(model.pixel_bias.dtype), len(looks(start[0]))
     states = model.initial_states(intention[torch.zeros(num_looks, dtype=torch.long)])
 
+    @torch.no_grad()
     def predict(pixels: Float[Tensor, "C H W"], codes: Float[Tensor, "J K"]) -> Float[np.ndarray, " J"]:
         nonlocal states
-        with torch.no_grad():
-            (_, log_codes), states = forward((glances(pixels, config.glance), codes.expand(num_looks, *codes.shape)), states)
-        return mean_joints(model, log_codes).cpu().numpy()
+        (_, log_codes), states = forward((looks(pixels), codes.expand(num_looks, *codes.shape)), states)
+        return model.coding.decode(log_codes.exp()).double().mean(0).cpu().numpy()
 
     predict(*start)  # output t is the prediction of percept t, so the first predicts the start itself
 
     def next_joints(percept: Percept) -> Float[np.ndarray, " J"]:
         here, there = next(here_and_next)
-        unbent = None if percept.joints is None else percept.joints - here
-        return predict(*as_inputs(model, Percept(percept.frame, unbent), name="percept")) + there
+        uncorrected = None if percept.joints is None else percept.joints - here
+        return predict(*as_inputs(model, Percept(percept.frame, uncorrected), name="percept")) + there
 
     return next_joints
+
+
+def follow_legs(model: PDVMRNN, legs: tuple[Plan, ...], looks: Looks) -> Policy:
+    """Each leg for as many steps as it takes to arrive, the last one to the end."""
+    policies = [follow(model, leg, looks=looks) for leg in legs]
+    arrivals = np.cumsum([leg.arrival_step for leg in legs[:-1]])
+    steps = itertools.count()
+    return lambda percept: policies[np.searchsorted(arrivals, next(steps), side="right")](percept)

@@ -2,7 +2,7 @@
 
 Vision is a squared error summed over pixels, the motors a Kullback-Leibler divergence summed over joints, KL(target || predicted); the
 paper writes the arguments the other way round, see docs/paper.md. Frames of another size are charged as if they had 64x64 pixels, so
-that the balance of the two modalities does not depend on the camera. Pictures may be compared coarsely (`ideas.image_features`).
+that the balance of the two modalities does not depend on the camera.
 
 >>> import torch
 >>> error = torch.tensor([[9.0, 4.0, 4.0, 8.0]])
@@ -10,6 +10,7 @@ that the balance of the two modalities does not depend on the camera. Pictures m
 1
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,12 +18,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from preimage.ideas.image_features import blurred
-from preimage.network.coding import JointCoding
+from preimage.method.config import Modalities
+from preimage.method.seam import ErrorTerm
 from preimage.network.pdvmrnn import Generated, InputSequence, Sensed
-
-Modalities = Literal["vision", "joints", "both"]
-"""What of a goal is used."""
 
 VISUAL_WEIGHT = 1 / 40
 """Weight of the visual error beside the joints' KL: chosen so that both fall together; the paper does not say."""
@@ -34,11 +32,9 @@ def pixel_scale(frames: Float[Tensor, "*batch C H W"]) -> float:
     return REFERENCE_PIXELS / frames.shape[-3:].numel()
 
 
-def visual_error(
-    predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"], blur: float = 0.0
-) -> Float[Tensor, "*batch"]:
-    """Squared error summed over pixels, as of a frame of 64x64; of the blurred pictures where `blur` is not 0."""
-    return pixel_scale(target) * blurred(predicted - target, blur).square().sum((-1, -2, -3))
+def visual_error(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "*batch"]:
+    """Squared error summed over pixels, as of a frame of 64x64."""
+    return pixel_scale(target) * (predicted - target).square().sum((-1, -2, -3))
 
 
 def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Float[Tensor, "*#batch J K"]) -> Float[Tensor, "*batch"]:
@@ -46,9 +42,9 @@ def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Flo
     return (torch.special.xlogy(target, target) - target * log_predicted).sum((-1, -2))
 
 
-def felt_apart(codes: Float[Tensor, "*batch J K"], target: Float[Tensor, "*#batch J K"]) -> Float[Tensor, "*batch"]:
-    """The same of codes that were sensed and may hold zeros, instead of predicted ones."""
-    return proprioceptive_error(codes.clamp(min=1e-12).log(), target)
+def sensed_log(codes: Float[Tensor, "*batch J K"]) -> Float[Tensor, "*batch J K"]:
+    """Log codes of what was sensed, which may hold zeros, as if they were predicted."""
+    return codes.clamp(min=1e-12).log()
 
 
 def visual_residuals(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "..."]:
@@ -80,11 +76,10 @@ def sequence_error(
     pixels: Float[Tensor, "B T C H W"],
     codes: Float[Tensor, "B T J K"],
     mask: Float[Tensor, "B T"],
-    blur: float = 0.0,
 ) -> SequenceError:
     """Both modalities' errors against a full sequence (equation 1), averaged over the steps where mask is 1."""
     steps = mask.sum(1)
-    visual = (visual_error(generated.pixels, pixels, blur) * mask).sum(1) / steps
+    visual = (visual_error(generated.pixels, pixels) * mask).sum(1) / steps
     proprioceptive = (proprioceptive_error(generated.log_codes, codes) * mask).sum(1) / steps
     return SequenceError(visual, proprioceptive)
 
@@ -95,56 +90,52 @@ def arrival_step(goal_error: Float[Tensor, "B T"], *, delay_penalty: float) -> I
     return (goal_error.detach() * delay_penalty**steps).argmin(1)
 
 
-def resting_error(goal_error: Float[Tensor, "B T"]) -> Float[Tensor, "B T"]:
-    """The mean of the goal error over a step and all that follow: what it is to arrive there and stay.
-
-    >>> resting_error(torch.tensor([[9.0, 0.0, 6.0, 3.0]])).tolist()
-    [[4.5, 3.0, 4.5, 3.0]]
-    """
-    num_later = torch.arange(goal_error.shape[1], 0, -1, device=goal_error.device)
-    return goal_error.flip(1).cumsum(1).flip(1) / num_later
-
-
-WIDER = 3.0
-"""Expectations are held so many times wider than they are: the network does not imagine what it expects to a hair."""
+def at_step(generated: Generated, steps: Int[Tensor, " B"]) -> Generated:
+    """One step of each sequence, as sequences of one step."""
+    rows = torch.arange(len(steps), device=steps.device)
+    return Generated(generated.pixels[rows, steps][:, None], generated.log_codes[rows, steps][:, None])
 
 
 @dataclass(frozen=True, eq=False)
-class ExpectedJoints:
-    """The joints that are expected at a goal of which only the picture is known: a Gaussian each."""
+class GoalError:
+    """The goal's part of equation 2 in one modality."""
 
-    coding: JointCoding
-    mean: Float[Tensor, " J"]
-    """In the joints' units."""
-    deviation: Float[Tensor, " J"]
-    """How far they may be off."""
-    imagined: Float[Tensor, " J"]
-    """How far the joints that the network imagines at a goal may be off."""
+    goal: Sensed
+    modality: Literal["vision", "joints"]
 
-    def error(self, generated: Generated) -> Float[Tensor, "B T"]:
-        """Half the squared distance in WIDER deviations, summed over joints: how unlikely the joints are (nats)."""
-        return self.residuals(generated).square().sum(-1)
+    def errors(self, generated: Generated) -> Float[Tensor, "B T"]:
+        if self.modality == "vision":
+            return VISUAL_WEIGHT * visual_error(generated.pixels, self.goal[0])
+        return proprioceptive_error(generated.log_codes, self.goal[1])
 
-    def residuals(self, generated: Generated) -> Float[Tensor, "B T J"]:
-        """Numbers whose squares sum to the error."""
-        joints = self.coding.decode(generated.log_codes.to(self.mean.dtype).exp())
-        return (joints - self.mean) / (WIDER * self.deviation) / 2**0.5
+    def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
+        there = at_step(generated, arrival)
+        if self.modality == "vision":
+            return visual_residuals(there.pixels, self.goal[0]).flatten(1)
+        return proprioceptive_residuals(there.log_codes, self.goal[1]).flatten(1)
+
+    def num_steps(self, arrival: Int[Tensor, " B"]) -> int:
+        return int(arrival.max()) + 1
+
+
+def goal_terms(goal: Sensed, modalities: Modalities) -> list[ErrorTerm]:
+    """The goal's part of equation 2; the term of a modality that is not given is left out (section II-D)."""
+    return [GoalError(goal, modality) for modality in ("vision", "joints") if modalities in (modality, "both")]
 
 
 @dataclass(frozen=True, eq=False)
 class ToGoal:
-    """Equation 2: the first percept as observed, the goal at the step that shows it best, and, where it rests, from then on."""
+    """Equation 2: the first percept as observed, and the goal at the step that shows it best.
+
+    Args:
+        start: what is observed at the first step.
+        terms: what is charged at the goal; their errors are summed.
+        delay_penalty: the factor that prefers early steps.
+    """
 
     start: Sensed
-    goal: Sensed
-    modalities: Modalities = "vision"
+    terms: Sequence[ErrorTerm]
     delay_penalty: float = 1.01
-    rests: bool = True
-    """Whether the goal is to be stayed in. In passing, a hand above the table can look like one on it."""
-    expected: ExpectedJoints | None = None
-    """What more the joints are charged for at the goal, where its picture alone is known."""
-    earliest: int = 0
-    """The first step at which the goal may be reached."""
 
     def start_error(self, generated: Generated) -> Float[Tensor, " B"]:
         """The start's part: the first predicted percept against the one observed, both modalities."""
@@ -153,55 +144,33 @@ class ToGoal:
         return VISUAL_WEIGHT * visual + proprioceptive_error(generated.log_codes[:, 0], codes)
 
     def goal_error(self, generated: Generated) -> Float[Tensor, "B T"]:
-        """The goal's part at every imagined step: vision, joints or both."""
-        error = torch.zeros(generated.pixels.shape[:2]).to(generated.pixels)
-        if self.modalities != "joints":
-            error = error + VISUAL_WEIGHT * visual_error(generated.pixels, self.goal[0])
-        if self.modalities != "vision":
-            error = error + proprioceptive_error(generated.log_codes, self.goal[1])
-        if self.expected:
-            error = error + self.expected.error(generated)
-        return resting_error(error) if self.rests else error
-
-    @property
-    def start_to_goal(self) -> float:
-        """The goal's part of the error of staying at the start, as sensed: how much there is to be explained."""
-        pixels, codes = self.start
-        staying = Generated(pixels[None, None], codes.clamp(min=1e-12).log()[None, None])
-        return float(self.goal_error(staying)[0, 0])
+        """The goal's part if it is reached at each of the imagined steps."""
+        return torch.stack([term.errors(generated) for term in self.terms]).sum(0)
 
     def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
         """The prediction error and the arrival step. The delay penalty picks the step; it does not enter the error."""
         at_every_step = self.goal_error(generated)
-        arrival = self.earliest + arrival_step(at_every_step[:, self.earliest :], delay_penalty=self.delay_penalty)
+        arrival = arrival_step(at_every_step, delay_penalty=self.delay_penalty)
         return self.start_error(generated) + at_every_step.gather(1, arrival[:, None])[:, 0], arrival
 
-    def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
+    def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
         """The same error at given arrival steps, as residuals."""
-        at_goal, shares = self.counted(generated, aims)
-        parts: list[Tensor] = []
-        if self.modalities != "joints":
-            parts.append(visual_residuals(at_goal.pixels, self.goal[0]) * shares[..., None, None, None])
-        if self.modalities != "vision":
-            parts.append(proprioceptive_residuals(at_goal.log_codes, self.goal[1]) * shares[..., None, None])
-        if self.expected:
-            parts.append(self.expected.residuals(at_goal).to(shares.dtype) * shares[..., None])
-        parts.append(visual_residuals(generated.pixels[:, 0], self.start[0]))
-        parts.append(proprioceptive_residuals(generated.log_codes[:, 0], self.start[1]))
-        return torch.cat([part.flatten(1) for part in parts], dim=1)
+        parts = [term.residuals(generated, arrival) for term in self.terms]
+        parts.append(visual_residuals(generated.pixels[:, 0], self.start[0]).flatten(1))
+        parts.append(proprioceptive_residuals(generated.log_codes[:, 0], self.start[1]).flatten(1))
+        return torch.cat(parts, dim=1)
 
-    def counted(self, generated: Generated, aims: Int[Tensor, " B"]) -> tuple[Generated, Float[Tensor, "B T"]]:
-        """The steps that count for the goal, and the root of each step's share: the arrival step alone where the goal is passed through."""
-        if not self.rests:
-            rows = torch.arange(len(aims), device=aims.device)
-            passed = Generated(generated.pixels[rows, aims][:, None], generated.log_codes[rows, aims][:, None])
-            return passed, passed.pixels.new_ones(len(aims), 1)
-        later = torch.arange(generated.pixels.shape[1], device=aims.device) >= aims[:, None]
-        return generated, (later / later.sum(1, keepdim=True)).sqrt().to(generated.pixels.dtype)
+    def num_steps(self, arrival: Int[Tensor, " B"]) -> int | None:
+        """Up to the latest arrival, unless a term looks further."""
+        needed = [term.num_steps(arrival) for term in self.terms]
+        return None if None in needed else max(each for each in needed if each is not None)
 
-    def steps_until(self, aims: Int[Tensor, " B"]) -> int | None:
-        """Up to the latest arrival, where nothing after it counts."""
-        return None if self.rests else int(aims.max()) + 1
+    @property
+    def to_explain(self) -> float:
+        """The goal's part of the error of staying at the start, as sensed."""
+        pixels, codes = self.start
+        staying = Generated(pixels[None, None], sensed_log(codes)[None, None])
+        return float(self.goal_error(staying)[0, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,13 +185,19 @@ class ToSequence:
         error = sequence_error(generated, pixels, codes, pixels.new_ones(pixels.shape[:2])).total
         return error, torch.zeros(len(error), dtype=torch.long, device=error.device)
 
-    def residuals(self, generated: Generated, aims: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
+    def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
         """The same error as residuals."""
         pixels, codes = self.sensed
         visual = visual_residuals(generated.pixels, pixels)
         felt = proprioceptive_residuals(generated.log_codes, codes)
         return torch.cat([part.flatten(1) for part in (visual, felt)], dim=1) / pixels.shape[1] ** 0.5
 
-    def steps_until(self, aims: Int[Tensor, " B"]) -> None:
+    def num_steps(self, arrival: Int[Tensor, " B"]) -> None:
         """All of them."""
         return None
+
+    @property
+    def to_explain(self) -> float:
+        """The error of staying at the first percept."""
+        pixels, codes = (part[:, :1].expand_as(part) for part in self.sensed)
+        return float(self.errors(Generated(pixels, sensed_log(codes)))[0])

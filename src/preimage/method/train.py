@@ -1,11 +1,9 @@
 """Training: back-propagation through time on the weights and the intention table together (section II-B).
 
 Every update draws a few demonstrations, generates each from its own intention in closed loop, and lowers the prediction error of both
-modalities by Adam. A share of them may begin at a later step, drawn anew each time: what is wanted stays the same wherever the
-robot stands, so that the intention learns to hold where the way leads and leaves to the percept where it starts. Another share are blends
-of alike demonstrations (`ideas.mixup`), so that what lies between them is learned as well. What an update draws depends on the seed and its
-number alone, so that a training that was stopped and resumed gives the same weights, bit for bit on a CPU, as one that never stopped, and
-several processes those of one, to rounding (docs/many_machines.md).
+modalities (equation 1) by Adam. What an update draws depends on the seed and its number alone, so that a training that was stopped and
+resumed gives the same weights, bit for bit on a CPU, as one that never stopped, and several processes those of one, to rounding
+(docs/many_machines.md).
 """
 
 import json
@@ -14,67 +12,28 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 
 from preimage.compute.devices import recorded_with_gradients
 from preimage.compute.freed_memory import keep_freed_memory
 from preimage.compute.interrupts import saved_on_interrupt
+from preimage.compute.precision import resolve_precision
 from preimage.compute.processes import Crew
 from preimage.data.sequences import Sequences, pad, sensors_of
-from preimage.ideas.mixup import draw_blends
-from preimage.method.batch_error import BatchError
-from preimage.method.beginning import start_from
-from preimage.method.prediction_error import SequenceError
+from preimage.method.config import TrainConfig
+from preimage.method.prediction_error import SequenceError, sequence_error
+from preimage.method.seam import Augmentation, Batch
+from preimage.network.coding import to_pixels
 from preimage.network.config import ModelConfig
-from preimage.network.intention import IntentionState
-from preimage.network.pdvmrnn import PDVMRNN
+from preimage.network.intention import IntentionTable, unflatten
+from preimage.network.pdvmrnn import PDVMRNN, Generated
 from preimage.records import Demonstration
 from preimage.storage.atomic_write import whole_file, write_json
 from preimage.storage.runs import write_config, write_shown, write_weights
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """How the network learns."""
-
-    updates: int = 1400
-    """Number of updates of weights and intentions."""
-    batch_size: int = 10
-    """Demonstrations an update."""
-    learning_rate: float = 2e-3
-    """Adam's rate for the weights at its highest; it warms up, then falls along a cosine."""
-    intention_learning_rate: float = 2e-2
-    """Adam's rate for the intentions, on the same course."""
-    warmup_updates: int = 20
-    """Updates over which the rates rise."""
-    final_share: float = 0.05
-    """Share of the rates that is left at the end."""
-    gradient_norm: float = 1.0
-    """Largest norm of the weights' gradient; longer ones are shortened to it."""
-    open_loop_share: float = 0.0
-    """Share of the sensed percept in the network's input: 0 closed loop, 1 open loop."""
-    later_starts: float = 0.0
-    """Share of an update's sequences that begin at a later step of their demonstration, under the same intention."""
-    start_noise: float = 0.0
-    """Standard deviation of the noise on the first frame, in half ranges of a pixel: what is seen of it has to bear a little change."""
-    blends: float = 0.0
-    """Share of an update's sequences that are blends of alike demonstrations (`ideas.mixup`); less than 1."""
-    blend_parts: int = 3
-    """Demonstrations in a blend."""
-    blend_reach: float = 1.3
-    """How far blends reach, in sizes of what their demonstrations span; beyond 1 some lie outside of it."""
-    rest_steps: int = 30
-    """Steps of rest after a demonstration's end that count: the arm learns to stay at the goal."""
-    precision: Literal["bfloat16", "float32"] = "bfloat16"
-    """Precision of the layers' arithmetic; weights, states and errors stay float32."""
-    checkpoint_every: int = 100
-    """Updates between two checkpoints."""
-    seed: int = 0
-    """Draws the first weights, the batches and the noise."""
 
 
 class NonFinite(RuntimeError):
@@ -88,6 +47,7 @@ class Learner:
     model: PDVMRNN
     optimiser: torch.optim.Optimizer
     update: int = 0
+    augmentations: Sequence[Augmentation] = ()
     batch_error: Callable[..., tuple[Tensor, ...]] | None = None
     """`BatchError`, recorded at the first batch."""
 
@@ -123,6 +83,7 @@ def train(
     resume: bool = False,
     about: dict[str, Any] | None = None,
     progress: Callable[[Progress], None] | None = None,
+    augmentations: Sequence[Augmentation] = (),
     crew: Crew = Crew(),  # noqa: B008, frozen
 ) -> PDVMRNN:
     """Learn weights and intentions that regenerate the demonstrations.
@@ -133,24 +94,28 @@ def train(
         resume: go on from the folder's last checkpoint.
         about: more to write into the run's config.json.
         progress: called after every update.
+        augmentations: what is made of every batch before it is generated; by the paper nothing.
         crew: the processes that train together, of which only the first writes and tells.
 
     Returns:
         the trained network, its weights frozen.
 
     Raises:
-        ValueError: the demonstrations do not fit together or are too few for the crew, the folder holds a run already or none to resume.
+        ValueError: the demonstrations do not fit together or are too few for the crew, the folder holds a run already or none to resume,
+            or is to be resumed and there is none.
         NonFinite: an error or a gradient is no longer finite.
         ProcessLost: another process of the crew is no longer there.
         KeyboardInterrupt: the training was interrupted; the last update is saved.
     """
     model_config, config = model_config or ModelConfig.small(), config or TrainConfig()
+    if resume and folder is None:
+        raise ValueError("resume goes on with the run in a folder, and no folder is given")
     model_config = replace(model_config, rate_hz=min([model_config.rate_hz, *(one.rate_hz for one in demonstrations)]))
     sequences = pad(demonstrations, rate_hz=model_config.rate_hz, rest_steps=config.rest_steps)
     model = PDVMRNN(model_config, sensors_of(demonstrations), len(sequences), config.seed)
     crew.refuse_fewer(min(config.batch_size, len(sequences)))
-    start_from(model, sequences)
-    learner = Learner(model.to(crew.device), optimiser_of(model, config))
+    start_from_demonstrations(model, sequences)
+    learner = Learner(model.to(crew.device), optimiser_of(model, config), augmentations=augmentations)
     keep_freed_memory()
     run = open_run(Path(folder), learner, config, about or {}, resume) if folder is not None and crew.first else None
     if run and not resume:
@@ -170,6 +135,30 @@ def train(
     if stop:
         raise KeyboardInterrupt
     return model.requires_grad_(False).eval()
+
+
+def start_from_demonstrations(model: PDVMRNN, sequences: Sequences) -> None:
+    """Start the outputs at the mean percept and the intentions as neighbours where sequences are alike; keep the mean start as home."""
+    pixels, codes = to_pixels(sequences.frames), model.coding.encode(sequences.joints)
+    model.start_from_means(pixels.mean((0, 1)), codes.mean((0, 1)))
+    model.home_pixels.copy_(pixels[:, 0].mean(0))
+    model.home_joints.copy_(sequences.joints[:, 0].mean(0))
+    model.longest.fill_(sequences.frames.shape[1])
+    spread_intentions(model.intention_table, codes.flatten(1))
+
+
+def spread_intentions(table: IntentionTable, features: Float[Tensor, "N F"], components: int = 16) -> None:
+    """Start the intentions where alike sequences are neighbours: at their principal components.
+
+    The paper starts them at random. From there, learning first has to find out what an intention could be good for; from here it
+    can begin with the demonstrations themselves.
+    """
+    centred = features - features.mean(0)
+    directions, sizes, _ = torch.linalg.svd(centred, full_matrices=False)
+    components = min(components, len(features))
+    weights = (sizes / sizes[0].clamp(min=1e-9)).clamp(min=0.15)[:components]  # small components count, or no two would differ
+    scores = len(features) ** 0.5 * directions[:, :components] * weights
+    table.start_from(scores, torch.Generator().manual_seed(components))
 
 
 def optimiser_of(model: PDVMRNN, config: TrainConfig) -> torch.optim.Optimizer:
@@ -208,27 +197,26 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     """One step of Adam on one batch, of which this process generates its share."""
     began = time.perf_counter()
     model, optimiser = learner.model, learner.optimiser
-    rows = batch_of(learner.update, len(sequences), config)
     generator = torch.Generator().manual_seed(config.seed * 1_000_003 + learner.update)
-    blends = draw_blends(rows, sequences, generator, share=config.blends, parts=config.blend_parts, reach=config.blend_reach)
-    parts, charges = model.intention_table.draw(blends.rows.flatten(), generator)
-    intention, charge = blends.intention(parts), charges.view_as(blends.rows)[:, 0]
-    steps = begin_steps(sequences.lengths[rows], config, generator)
-    noise = config.start_noise * torch.randn(len(rows), *model.pixel_bias.shape, generator=generator)
-    mine = crew.share(len(rows))
-    shown = blends[mine].sequences(sequences, steps[mine])
-    error = error_of(learner, intention[mine], shown, noise[mine], blends.blended[mine], config)
+    batch = plain_batch(batch_of(learner.update, len(sequences), config), sequences)
+    for augment in learner.augmentations:
+        batch = augment(batch, sequences, generator)
+    drawn, charges = model.intention_table.draw(batch.rows.flatten(), generator)
+    intention = torch.einsum("bpd,bp->bd", drawn.flatten().unflatten(0, batch.rows.shape), batch.weights.to(charges))
+    charge = charges.view_as(batch.rows)[:, 0]
+    mine = crew.share(len(batch.rows))
+    error = error_of(learner, intention[mine], batch[mine], config)
     for group in optimiser.param_groups:
         group["lr"] = group["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
-    ((error.total + model.config.intention_cost * charge[mine]).sum() / len(rows)).backward()
+    ((error.total + model.config.intention_cost * charge[mine]).sum() / len(batch.rows)).backward()
     crew.add_gradients(model.parameters())
-    error = error_of_all(error, mine, len(rows), crew)
+    error = error_of_all(error, mine, len(batch.rows), crew)
     norm = nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], config.gradient_norm)
     refuse_non_finite(learner, error, charge, norm, run)
     optimiser.step()
     learner.update += 1
-    visual, proprioceptive = (each[~blends.blended].mean().item() for each in (error.visual, error.proprioceptive))
+    visual, proprioceptive = (each[~batch.blurred].mean().item() for each in (error.visual, error.proprioceptive))
     told = Progress(learner.update, config.updates, visual, proprioceptive, time.perf_counter() - began)
     if run:
         with (run / "log.jsonl").open("a") as log:
@@ -236,27 +224,47 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     return told
 
 
-def begin_steps(lengths: Int[Tensor, " B"], config: TrainConfig, generator: torch.Generator) -> Int[Tensor, " B"]:
-    """Where each sequence begins: at its first step, or, a share of them, at any step of it."""
-    later, where = torch.rand(2, len(lengths), generator=generator)
-    return (where * lengths).long() * (later < config.later_starts)
+def plain_batch(rows: Int[Tensor, " B"], sequences: Sequences) -> Batch:
+    """Training sequences as they are."""
+    ones, nowhere = torch.ones(len(rows), 1), torch.zeros(len(rows), dtype=torch.long)
+    return Batch(rows[:, None], ones, sequences.begun_at(rows, nowhere), blurred=nowhere.bool())
 
 
-def error_of(
-    learner: Learner,
-    intention: IntentionState,
-    sequences: Sequences,
-    noise: Float[Tensor, "B C H W"],
-    blended: Bool[Tensor, " B"],
-    config: TrainConfig,
-) -> SequenceError:
+def error_of(learner: Learner, intention: Float[Tensor, "B D"], batch: Batch, config: TrainConfig) -> SequenceError:
     """The errors of a batch, by what was recorded at the first one."""
-    given = sequences.frames, sequences.joints, sequences.mask, noise, blended
-    inputs = [intention.flatten(), *(each.to(learner.model.pixel_bias.device) for each in given)]
+    given = batch.sequences.frames, batch.sequences.joints, batch.sequences.mask, batch.blurred
+    inputs = [intention, *(each.to(learner.model.pixel_bias.device) for each in given)]
     if learner.batch_error is None:
-        how = {"share": config.open_loop_share, "dtype": getattr(torch, config.precision), "blends": config.blends > 0}
-        learner.batch_error = recorded_with_gradients(BatchError(learner.model, **how), inputs)
+        dtype = getattr(torch, resolve_precision(config.precision, learner.model.pixel_bias.device))
+        learner.batch_error = recorded_with_gradients(BatchError(learner.model, dtype=dtype, blur=batch.blur), inputs)
     return SequenceError(*learner.batch_error(*inputs))
+
+
+class BatchError(nn.Module):
+    """What an update lowers, as a function of tensors alone, so that a GPU can record it: generate from intentions, and compare."""
+
+    def __init__(self, model: PDVMRNN, *, dtype: torch.dtype, blur: Callable[[Tensor], Tensor] | None = None) -> None:
+        super().__init__()
+        self.model, self.dtype, self.blur = model, dtype, blur
+
+    def forward(
+        self,
+        intention: Float[Tensor, "B D"],
+        frames: UInt8[Tensor, "B T H W C"],
+        joints: Float[Tensor, "B T J"],
+        mask: Float[Tensor, "B T"],
+        blurred: Bool[Tensor, " B"],
+    ) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
+        """The visual and the proprioceptive error of each sequence (`IntentionState.flatten`, angles in rad, 1 where a step counts)."""
+        model = self.model
+        pixels, codes = to_pixels(frames), model.coding.encode(joints.clamp(model.coding.lower, model.coding.upper))
+        intentions = unflatten(intention, model.intention_table.shapes)
+        generated = model.generate_closed_loop(intentions, (pixels[:, 0], codes[:, 0]), num_steps=frames.shape[1], dtype=self.dtype)
+        error = sequence_error(generated, pixels, codes, mask)
+        if self.blur is None:
+            return error.visual, error.proprioceptive
+        coarse = sequence_error(Generated(self.blur(generated.pixels), generated.log_codes), self.blur(pixels), codes, mask)
+        return torch.where(blurred, coarse.visual, error.visual), error.proprioceptive
 
 
 def error_of_all(error: SequenceError, mine: Int[Tensor, " S"], count: int, crew: Crew) -> SequenceError:

@@ -4,13 +4,15 @@
 (1024, 1024, 16)
 """
 
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import dataclass, replace
+from typing import Literal, Self
+
+from preimage.network.ranges import validate
 
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """Sizes of the network and the room of its intention. Frame size, channels and joints come from the data (`Sensors`)."""
+    """Sizes of the network and the capacity of its intention. Frame size, channels and joints come from the data (`Sensors`)."""
 
     vision_channels: tuple[int, ...] = (16, 32, 32)
     """Feature maps of the vision path, from level 1 up; each level halves height and width (Table I)."""
@@ -26,16 +28,22 @@ class ModelConfig:
     """Feature maps that carry the vision path to the motor path; the paper does not say how many."""
     keypoints: int = 0
     """Points of the feature maps whose places go from vision to the motors besides (spatial softmax, Levine et al. 2016)."""
-    intention_layers: tuple[str, ...] = ("top", "vision3", "motor3")
-    """Layers whose initial states are the intention; the others start from a learned state that all sequences share."""
-    intention_dimensions: int | None = 16
-    """Gaussian numbers that make an intention (`LatentTable`); None: the initial states themselves, as in the paper (`FreeTable`)."""
+    intention: Literal["latent", "free"] = "latent"
+    """latent: a few Gaussian numbers make an intention (`LatentTable`); free: the initial states themselves, as in the paper."""
+    intention_layers: tuple[str, ...] | None = ("top", "vision3", "motor3")
+    """Layers whose initial states are the intention, None: all; the others start from a learned state that all sequences share."""
+    intention_dimensions: int = 16
+    """Gaussian numbers of a latent intention."""
     intention_cost: float = 0.005
-    """Charge while training for what an intention tells (a nat), or, where it is free, for its squared size: the walls of its room."""
+    """Charge while training for the information in an intention (a nat), or, where it is free, for its squared size."""
     intention_noise: float = 0.0
     """Standard deviation of the noise on a free intention while training."""
     rate_hz: float = 2.5
     """Steps a second that the model runs at; recordings are brought to it, slower ones keep their rate."""
+
+    def __post_init__(self) -> None:
+        at_least = {"intention_dimensions": 1, "seen_channels": 1, "intention_cost": 0, "intention_noise": 0, "keypoints": 0}
+        validate(self, at_least=at_least, above_zero=("rate_hz",))
 
     @classmethod
     def tiny(cls) -> Self:
@@ -49,9 +57,18 @@ class ModelConfig:
         return cls()
 
     @classmethod
-    def paper(cls) -> Self:
-        """Table I of the paper."""
+    def table_1(cls) -> Self:
+        """The sizes of the paper's Table I."""
         return cls(vision_channels=(40, 80, 80), motor_units=(1024, 1024, 16))
+
+    @classmethod
+    def paper(cls) -> Self:
+        """The paper's network: Table I, free initial states, one set a sequence, at 10 Hz."""
+        return replace(cls.table_1().as_paper(), rate_hz=10.0)
+
+    def as_paper(self) -> Self:
+        """A network of this size with the paper's intention: free initial states."""
+        return replace(self, intention="free", intention_layers=None, intention_cost=1e-5, intention_noise=0.2, keypoints=0)
 
     @property
     def num_levels(self) -> int:
@@ -85,6 +102,6 @@ def check_sizes(config: ModelConfig, sensors: Sensors) -> None:
     if sensors.height % step or sensors.width % step:
         raise ValueError(f"frames are {sensors.height}x{sensors.width}; a ladder of {levels} levels needs multiples of {step}")
     known = ["top", *(f"{path}{level}" for path in ("vision", "motor") for level in range(1, levels + 1))]
-    unknown = [name for name in config.intention_layers if name not in known]
-    if unknown or not config.intention_layers:
+    unknown = [name for name in config.intention_layers or () if name not in known]
+    if unknown or config.intention_layers == ():
         raise ValueError(f"intention_layers names {unknown or 'no layer'}; choose among {', '.join(known)}")

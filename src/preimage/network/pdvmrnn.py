@@ -29,8 +29,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from preimage.compute.devices import Recorded
-from preimage.ideas.gripper_events import MOST
-from preimage.ideas.image_features import BLUR, arrived, blurred
 from preimage.network import engines
 from preimage.network.cells import LSTM, ConvLSTM, Down, Lateral, State, Up
 from preimage.network.coding import JointCoding
@@ -70,27 +68,6 @@ class PDVMRNN(nn.Module):
     """Mean first frame of the demonstrations."""
     home_joints: Float[Tensor, " J"]
     """Mean first joint angles of the demonstrations (rad)."""
-    background: Float[Tensor, "C H W"]
-    """Median of the last frames of the demonstrations: what is seen where nothing came to stand."""
-    shown_arrivals: Float[Tensor, "N D h w"]
-    """What has come to stand in the last frame of each demonstration, coarsely seen (`ideas.image_features.arrived`)."""
-    shown_lasts: Float[Tensor, "N C h w"]
-    """The last frame of each demonstration, coarsely seen."""
-    shown_firsts: Float[Tensor, "N J"]
-    """First joint angles of each demonstration (rad)."""
-    starts_apart: Tensor
-    """How far the first joints of a demonstration feel from those of the nearest other; nine in ten are nearer (nats)."""
-    shown_ends: Float[Tensor, "N J"]
-    """Last joint angles of each demonstration (rad)."""
-    usual_start: Float[Tensor, "C H W"]
-    """Median of the first frames of the demonstrations."""
-    shown_starts: Float[Tensor, "N D h w"]
-    """What stands in the first frame of each demonstration, coarsely seen."""
-    shown_switches: Float[Tensor, "N K J"]
-    """Joint angles at the moments at which the robot switches something (`ideas.gripper_events`), as many as may be, then those of the end
-    (rad)."""
-    switching: Tensor
-    """Which joint switches, and how often; 0 times if none does."""
     longest: Tensor
     """Steps of the longest demonstration: how far ahead is imagined unless something else is asked for."""
     intention_table: IntentionTable
@@ -104,8 +81,8 @@ class PDVMRNN(nn.Module):
             torch.manual_seed(seed)
             self._build(num_sequences)
         generator = torch.Generator().manual_seed(seed)
-        shapes = {name: self.state_shapes[name] for name in config.intention_layers}
-        if config.intention_dimensions is None:
+        shapes = {name: self.state_shapes[name] for name in config.intention_layers or self.state_shapes}
+        if config.intention == "free":
             self.intention_table = FreeTable(shapes, num_sequences=num_sequences, noise=config.intention_noise, generator=generator)
         else:
             self.intention_table = LatentTable(
@@ -149,17 +126,6 @@ class PDVMRNN(nn.Module):
         self.shared = nn.ParameterDict({name: nn.Parameter(torch.zeros(2, *shape)) for name, shape in shapes.items()})
         self.register_buffer("home_pixels", torch.zeros(sensors.channels, sensors.height, sensors.width))
         self.register_buffer("home_joints", torch.zeros(sensors.num_joints))
-        self.register_buffer("background", torch.zeros_like(self.home_pixels))
-        nothing = arrived(self.home_pixels, self.home_pixels, self.background)
-        self.register_buffer("shown_arrivals", torch.zeros(num_sequences, *nothing.shape))
-        self.register_buffer("shown_lasts", torch.zeros(num_sequences, *blurred(self.home_pixels, BLUR).shape))
-        self.register_buffer("shown_firsts", torch.zeros(num_sequences, sensors.num_joints))
-        self.register_buffer("starts_apart", torch.tensor(0.0))
-        self.register_buffer("shown_ends", torch.zeros(num_sequences, sensors.num_joints))
-        self.register_buffer("usual_start", torch.zeros_like(self.home_pixels))
-        self.register_buffer("shown_starts", torch.zeros_like(self.shown_arrivals))
-        self.register_buffer("shown_switches", torch.zeros(num_sequences, MOST, sensors.num_joints))
-        self.register_buffer("switching", torch.zeros(2))
         self.register_buffer("longest", torch.tensor(0.0))
 
     @property
@@ -273,25 +239,17 @@ class PDVMRNN(nn.Module):
         intention: IntentionState,
         percepts: InputSequence,
         *,
-        start: Inputs | None = None,
-        share: float = 1.0,
         dtype: torch.dtype | None = None,
     ) -> Generated:
         """Predict every percept (B, T, ...) from the sensed one before it.
 
         Args:
             percepts: sensed pixels (B, T, C, H, W) and codes (B, T, J, K).
-            start: the first input; by default the first of the percepts, for the robot rests before it starts.
-            share: how much of the input is sensed, the rest is the network's own prediction; 0 is the closed loop.
             dtype: precision of the layers' arithmetic, at least; by default that of the weights.
         """
-        pixels, codes = percepts
-
-        def mix(step: int, predicted: Inputs) -> Inputs:
-            return share * pixels[:, step] + (1 - share) * predicted[0], share * codes[:, step] + (1 - share) * predicted[1]
-
-        feed = mix if share else imagined
-        return self._generate(intention, start or (pixels[:, 0], codes[:, 0]), pixels.shape[1], feed, dtype)
+        pixels, codes = percepts  # the first of them is the first input, for the robot rests before it starts
+        start = pixels[:, 0], codes[:, 0]
+        return self._generate(intention, start, pixels.shape[1], lambda step, _: (pixels[:, step], codes[:, step]), dtype)
 
     def _generate(
         self, intention: IntentionState, start: Inputs, num_steps: int, feed: Callable[[int, Inputs], Inputs], dtype: torch.dtype | None

@@ -87,7 +87,7 @@ def known_of(plan: Plan) -> dict[str, Any]:
     """The parts of start and goal, and what was recalled, as far as they are there, by the names they have in plan.npz."""
     ends = (("start", plan.start), ("goal", plan.goal))
     parts = {f"{end}_{part}": getattr(percept, part) for end, percept in ends for part in ("frame", "joints")}
-    parts["recalled"] = plan.recalled
+    parts |= {"expected_joints": plan.expected_joints, "imagined_joints": plan.imagined_joints}
     return {name: value for name, value in parts.items() if value is not None}
 
 
@@ -108,7 +108,8 @@ def load_plan(folder: Path | str) -> tuple[Plan, Scene | None]:
             **{name: parts[name] for name in ARRAYS},
             start=Percept(parts.get("start_frame"), parts.get("start_joints")),
             goal=Percept(parts.get("goal_frame"), parts.get("goal_joints")),
-            recalled=parts.get("recalled"),
+            expected_joints=parts.get("expected_joints"),
+            imagined_joints=parts.get("imagined_joints"),
             joint_names=tuple(about["joint_names"]),
             stopped=Stopped[about["stopped"]],
             **{name: about[name] for name in NUMBERS},

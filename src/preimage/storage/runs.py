@@ -73,6 +73,26 @@ def write_weights(folder: Path, model: PDVMRNN, dtype: torch.dtype = torch.float
         path.write_bytes(to_bytes(tensors))
 
 
+def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
+    """Write tensors by name."""
+    with whole_file(path) as draft:
+        draft.write_bytes(to_bytes({name: value.cpu().contiguous() for name, value in tensors.items()}))
+
+
+def read_tensors(path: Path) -> dict[str, torch.Tensor]:
+    """The tensors of a file, by name.
+
+    Raises:
+        ValueError: it is missing or broken.
+    """
+    try:
+        return load_file(path)
+    except FileNotFoundError as error:
+        raise ValueError(f"{path.parent} has no {path.name}: finish its training with --resume, or plan as paper or regression") from error
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path} cannot be read ({error}): restore it or train again") from error
+
+
 def write_shown(folder: Path, demonstrations: Sequence[Demonstration]) -> None:
     """Write shown.npz: joints, lengths, rates and last frames of the demonstrations."""
     arrays = {

@@ -1,0 +1,27 @@
+"""Settings validate themselves: what can be asked for is refused where it is asked, on the command line and in Python alike."""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+
+def validate(settings: Any, *, at_least: Mapping[str, float] = {}, above_zero: Iterable[str] = (), shares: Iterable[str] = ()) -> None:
+    """Raises ValueError for the first field that is out of range; None stands for a default and passes.
+
+    >>> from types import SimpleNamespace
+    >>> validate(SimpleNamespace(batch_size=0), at_least={"batch_size": 1})
+    Traceback (most recent call last):
+    ValueError: batch_size (--batch-size) is 0: give 1 or more
+    """
+    for name, least in at_least.items():
+        _require(settings, name, lambda value, least=least: least <= value < math.inf, f"{least} or more")
+    for name in above_zero:
+        _require(settings, name, lambda value: 0 < value < math.inf, "a number above 0")
+    for name in shares:
+        _require(settings, name, lambda value: 0 <= value <= 1, "a share between 0 and 1")
+
+
+def _require(settings: Any, name: str, fits: Any, wanted: str) -> None:
+    value = getattr(settings, name)
+    if value is not None and not fits(value):
+        raise ValueError(f"{name} (--{name.replace('_', '-')}) is {value}: give {wanted}")

@@ -1,0 +1,329 @@
+"""The three ways to train and plan, and the only place where ideas are wired into the method.
+
+* `paper`: the paper's method and nothing else. No memory is read.
+* `regression`: what the network and the search are worth without memory: a latent intention, Gauss-Newton from several training
+  intentions, the goal held. Nothing is corrected.
+* `full`: all ideas, the memory of the demonstrations among them.
+
+`PlanOptions` and `TrainOptions` name every idea, so that each can be switched on and off by itself.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+from preimage.method.config import PlanConfig, TrainConfig
+from preimage.network.config import ModelConfig
+from preimage.network.ranges import validate
+
+if TYPE_CHECKING:
+    import torch
+
+    from preimage.compute.processes import Crew
+    from preimage.ideas.memory import DemonstrationMemory
+    from preimage.ideas.test_time_augmentation import TestTimeAugmentation
+    from preimage.method.one_step import Policy
+    from preimage.method.plan import Recognition
+    from preimage.method.seam import Augmentation, Ideas, PlanCorrection, TermsOf
+    from preimage.network.pdvmrnn import PDVMRNN
+    from preimage.records import Demonstration, Percept, Plan
+
+MEMORY = "memory.safetensors"
+"""Where a run keeps the memory of its demonstrations."""
+Preset = Literal["paper", "regression", "full"]
+"""paper: the paper's method alone; regression: network and search without memory; full: all ideas."""
+SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.table_1}
+"""Sizes of the network, with a latent intention."""
+
+
+def network_config(size: str, preset: Preset) -> ModelConfig:
+    """The network of a size and a preset: by `paper` its intention is free, else latent."""
+    if preset != "paper":
+        return SIZES[size]()
+    return ModelConfig.paper() if size == "paper" else SIZES[size]().as_paper()
+
+
+@dataclass(frozen=True)
+class TrainOptions(TrainConfig):
+    """How a network learns, with the ideas beyond the paper; by default none."""
+
+    later_starts: float = 0.0
+    """Share of an update's sequences that begin at a later step of their demonstration, under the same intention."""
+    mixup: float = 0.0
+    """Share of an update's sequences that are weighted sums of alike demonstrations; less than 1."""
+    mixup_arity: int = 3
+    """Demonstrations in a sum."""
+    mixup_extrapolation: float = 1.3
+    """How far sums reach, in sizes of what their demonstrations span; beyond 1 some lie outside of it."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        validate(self, at_least={"mixup_arity": 2}, above_zero=("mixup_extrapolation",), shares=("later_starts", "mixup"))
+        if self.mixup == 1:
+            raise ValueError("mixup (--mixup) is 1: give less, so that some demonstrations are shown as they are")
+
+    @classmethod
+    def of(cls, preset: str) -> Self:
+        """The options of a preset: by itself none mixes anything in; which tasks gain from it is said in `evaluation.experiments`."""
+        return cls()
+
+    def augmentations(self) -> "list[Augmentation]":
+        """What is made of every batch."""
+        from preimage.ideas.later_starts import LaterStarts
+        from preimage.ideas.mixup import Mixup
+
+        mixup = [Mixup(self.mixup, self.mixup_arity, self.mixup_extrapolation)] if self.mixup else []
+        return [*mixup, *([LaterStarts(self.later_starts)] if self.later_starts else [])]
+
+
+@dataclass(frozen=True)
+class PlanOptions(PlanConfig):
+    """How a plan is searched for, with the ideas beyond the paper; by default none."""
+
+    search: Literal["adam", "gauss_newton"] = "adam"
+    """adam: the gradient through time, the paper's; gauss_newton: for intentions of few numbers."""
+    guess: Literal["random", "nearest", "kriged"] = "random"
+    """Where a search begins: at random, at the nearest training intentions, or at the one that memory blends of them for the goal."""
+    hold_goal: bool = False
+    """Whether the goal is to be stayed in, not passed through."""
+    expected_joints: bool = False
+    """Whether a goal given as a picture is charged for joints that do not go with such pictures in the memory."""
+    restarts: int = 0
+    """Training intentions from which a plan in doubt is searched for once more."""
+    restart_threshold: float = 0.05
+    """A plan is in doubt while its error is above this share of the error of staying at the start, expected joints included."""
+    tolerance: float = 0.0
+    """Share of the error of staying at the start at which a search by gauss_newton ends."""
+    finite_difference_step: float = 0.15
+    """How far gauss_newton changes each number to see what it does, in standard deviations."""
+    test_time_augmentation: float = 0.0
+    """Heights of a frame by which the start frame is moved, to eight sides; the way is the mean of what is imagined from all."""
+    end_correction: bool = False
+    """Whether a plan ends between the joints that are imagined and those that memory expects, or in those that are asked for."""
+    gripper_events: bool = False
+    """Whether plans arrive after the last gripper event, and are corrected at each."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        validate(
+            self,
+            at_least=dict.fromkeys(("restarts", "restart_threshold", "tolerance", "test_time_augmentation"), 0.0),
+            above_zero=("finite_difference_step",),
+        )
+
+    @classmethod
+    def regression(cls) -> Self:
+        """Network and search without memory."""
+        return cls(search="gauss_newton", guess="nearest", candidates=4, iterations=12, dimensions=32, hold_goal=True)
+
+    @classmethod
+    def full(cls) -> Self:
+        """All ideas."""
+        return replace(
+            cls.regression(), guess="kriged", candidates=1, expected_joints=True, restarts=7, tolerance=0.003,
+            test_time_augmentation=0.03, end_correction=True, gripper_events=True,
+        )  # fmt: skip
+
+    @classmethod
+    def of(cls, preset: str) -> Self:
+        """The options of a preset.
+
+        Raises:
+            ValueError: there is no such preset.
+        """
+        if preset not in ("paper", "regression", "full"):
+            raise ValueError(f"{preset} is no preset: give paper, regression or full")
+        return getattr(cls, preset)()
+
+    @property
+    def needs_memory(self) -> bool:
+        return self.guess == "kriged" or self.expected_joints or self.end_correction or self.gripper_events
+
+    def augmentation(self) -> "TestTimeAugmentation | None":
+        from preimage.ideas.test_time_augmentation import TestTimeAugmentation
+
+        return TestTimeAugmentation(self.test_time_augmentation) if self.test_time_augmentation else None
+
+    def ideas(self, memory: "DemonstrationMemory | None") -> "Ideas":
+        """What `method.plan` is given.
+
+        Raises:
+            ValueError: an idea needs a memory of the demonstrations, and there is none.
+        """
+        from preimage.ideas.end_correction import EndCorrection
+        from preimage.ideas.expected_joints import ExpectJoints
+        from preimage.ideas.gauss_newton import GaussNewton
+        from preimage.ideas.gripper_events import ArriveAfterEvents
+        from preimage.ideas.hold_goal import hold_goal, rest_at_goal
+        from preimage.ideas.memory import KrigedGuess
+        from preimage.ideas.nearest_training import NearestToGoal
+        from preimage.ideas.restarts import Restarts
+        from preimage.method.error_regression import adam
+        from preimage.method.plan import random_guesses
+        from preimage.method.seam import Ideas
+
+        if self.needs_memory and memory is None:
+            raise ValueError("these plans need a memory of the demonstrations: give one, or plan as paper or regression")
+        guess = NearestToGoal(self.candidates) if self.guess == "nearest" else random_guesses
+        tolerance = self.tolerance if self.expected_joints and self.modalities == "vision" else 0.0
+        search = adam if self.search == "adam" else GaussNewton(self.iterations, self.finite_difference_step, tolerance)
+        if self.restarts:
+            search = Restarts(search, NearestToGoal(self.restarts), self.restart_threshold)
+        terms: list[TermsOf] = [hold_goal] if self.hold_goal else []
+        corrections: list[PlanCorrection] = [rest_at_goal] if self.hold_goal else []
+        if augmentation := self.augmentation():
+            corrections.insert(0, augmentation)
+        if memory is not None:
+            guess = KrigedGuess(memory) if self.guess == "kriged" else guess
+            if self.expected_joints:
+                terms.insert(0, ExpectJoints(memory))
+            if self.gripper_events:
+                terms.append(ArriveAfterEvents(memory.event_joint, memory.num_events))
+            if self.end_correction or self.gripper_events:
+                corrections.append(EndCorrection(memory, at_goal=self.end_correction, at_events=self.gripper_events))
+        return Ideas(guess, search, terms, corrections)
+
+
+class Planner:
+    """A trained network, planning by a preset.
+
+    Args:
+        model: the network.
+        memory: of the demonstrations it was trained on, for the presets that ask it.
+        options: how plans are searched for; by default all ideas where there is a memory, else those that need none.
+
+    Raises:
+        ValueError: the options need a memory, and there is none.
+    """
+
+    def __init__(self, model: "PDVMRNN", memory: "DemonstrationMemory | None" = None, options: PlanOptions | None = None) -> None:
+        self.model, self.memory = model, memory
+        self.options = options or (PlanOptions.full() if memory else PlanOptions.regression())
+        _ = self.ideas
+
+    @cached_property
+    def ideas(self) -> "Ideas":
+        return self.options.ideas(self.memory)
+
+    def plan(self, *, goal: "Percept", start: "Percept | None" = None) -> "Plan":
+        """Imagine a way from the start percept to the goal (`method.plan.plan`)."""
+        from preimage.method.plan import plan
+
+        return plan(self.model, start=start, goal=goal, config=self.options, ideas=self.ideas)
+
+    def plan_in_turn(self, *, goals: "Sequence[Percept]", start: "Percept | None" = None) -> "list[Plan]":
+        """A plan to each of several goals, from where the one before arrives (`ideas.waypoints`)."""
+        from preimage.ideas.waypoints import plan_in_turn
+
+        return plan_in_turn(self.plan, start=start, goals=goals)
+
+    def imagine_without_goal(self, start: "Percept") -> "Plan":
+        """What is imagined when nothing is wanted (`method.plan.imagine_without_goal`)."""
+        from preimage.method.plan import imagine_without_goal
+        from preimage.method.seam import Ideas
+
+        augmentation = self.options.augmentation()
+        return imagine_without_goal(self.model, start, config=self.options, ideas=Ideas(corrections=[augmentation] if augmentation else []))
+
+    def follow(self, plan: "Plan") -> "Policy":
+        """One-step prediction under a plan's intention (`method.one_step.follow`)."""
+        from preimage.method.one_step import follow, one_look
+
+        augmentation = self.options.augmentation()
+        return follow(self.model, plan, looks=augmentation.looks if augmentation else one_look)
+
+    def recognise(self, demonstration: "Demonstration") -> "Recognition":
+        """The intention of a whole sensed sequence (`method.plan.recognise`)."""
+        from preimage.ideas.gauss_newton import GaussNewton
+        from preimage.ideas.nearest_training import NearestSequences
+        from preimage.method.plan import recognise
+        from preimage.method.seam import Ideas
+
+        options = self.options
+        if options.search == "adam":
+            return recognise(self.model, demonstration, config=options)
+        search = GaussNewton(options.iterations, options.finite_difference_step)
+        return recognise(self.model, demonstration, config=options, ideas=Ideas(NearestSequences(options.candidates), search))
+
+
+def load_planner(name: str | Path, options: PlanOptions | None = None, *, device: "torch.device | None" = None) -> Planner:
+    """The network of a run with the memory that lies beside it.
+
+    Args:
+        name: a run folder, a bundled name, or `hf:owner/name` of the Hugging Face Hub.
+        options: how plans are searched for; by default all ideas.
+
+    Raises:
+        ValueError: there is no such run, its files are broken, or the options need a memory and it has none.
+    """
+    from preimage.storage.runs import load_model
+
+    options = options or PlanOptions.full()
+    model = load_model(name)
+    if device is not None:
+        model = model.to(device)
+    return Planner(model, load_memory(name, device=model.home_pixels.device) if options.needs_memory else None, options)
+
+
+def load_memory(name: str | Path, *, device: "torch.device | None" = None) -> "DemonstrationMemory":
+    """The memory of a run's demonstrations.
+
+    Raises:
+        ValueError: there is none, or it is broken.
+    """
+    from preimage.ideas.memory import DemonstrationMemory
+    from preimage.storage.runs import find_run, read_tensors
+
+    tensors = read_tensors(find_run(name) / MEMORY)
+    try:
+        memory = DemonstrationMemory.from_tensors(tensors)
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"the memory of {name} is broken or of another version ({error}): train again") from error
+    return memory if device is None else memory.to(device)
+
+
+def train(
+    demonstrations: "Sequence[Demonstration]",
+    model_config: ModelConfig | None = None,
+    *,
+    config: TrainOptions | None = None,
+    folder: Path | str | None = None,
+    group: "Crew | None" = None,
+    **more: Any,
+) -> "PDVMRNN":
+    """Learn weights and intentions that regenerate the demonstrations (`method.train.train`); their memory is kept in the run folder.
+
+    Args:
+        config: how the network learns, with the ideas beyond the paper.
+        more: as `method.train.train` takes it.
+    """
+    from preimage.compute.processes import Crew
+    from preimage.method.train import train as train_by_the_paper
+    from preimage.storage.runs import load_model, write_tensors
+
+    config, group = config or TrainOptions(), group or Crew()
+
+    def keep_memory(model: "PDVMRNN") -> None:
+        if folder is not None and group.first:
+            write_tensors(Path(folder) / MEMORY, remember(demonstrations, model).tensors())
+
+    try:
+        model = train_by_the_paper(
+            demonstrations, model_config, config=config, folder=folder, augmentations=config.augmentations(), crew=group, **more
+        )
+    except KeyboardInterrupt:
+        if folder is not None:
+            keep_memory(load_model(folder))
+        raise
+    keep_memory(model)
+    return model
+
+
+def remember(demonstrations: "Sequence[Demonstration]", model: "PDVMRNN") -> "DemonstrationMemory":
+    """The memory of the demonstrations that a network was trained on, for `Planner`."""
+    from preimage.data.sequences import pad
+    from preimage.ideas.memory import DemonstrationMemory
+
+    return DemonstrationMemory.of(pad(demonstrations, rate_hz=model.config.rate_hz), model.coding)
