@@ -4,6 +4,7 @@ The names below are in the order of use: an arm and its task, demonstrations of 
 execution, and a film of both.
 """
 
+from preimage import fast
 from preimage.data.dataset import load, save
 from preimage.evaluation.evaluate import Evaluated, evaluate, result_of, wilson_interval
 from preimage.ideas.waypoints import join, plan_in_turn
@@ -20,6 +21,8 @@ from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
 from preimage.robot.execution import execute, execute_open_loop
 from preimage.storage.plans import load_plan, save_episode, save_plan
 from preimage.storage.runs import from_pretrained, load_model, push_to_hub, read_shown
+
+fast.install()
 
 __all__ = [
     "PDVMRNN",
