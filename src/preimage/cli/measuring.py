@@ -159,7 +159,7 @@ def bench_(out: Path = Path("results/bench.json"), device: Device = "cpu", quick
     Args:
         out: JSON file to write.
         device: what to measure.
-        quick: leave out the paper's size and the growth of planning time.
+        quick: a minute instead of five, without the paper's size and the growth of planning time.
     """
     place = place_of(device)
     write_json(out, bench(place, quick=quick) | {"provenance": provenance(place)})
