@@ -1,4 +1,7 @@
-"""The verbs that lead from recordings to a trained model: record, check, train."""
+"""The verbs that lead from recordings to a trained model: record, check, train.
+
+What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
+"""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -9,21 +12,11 @@ from tyro.conf import Positional
 
 from preimage.cli.options import refuse_out_of_range
 from preimage.cli.screen import bar, known_task
-from preimage.compute.devices import Device
-from preimage.compute.processes import gather
-from preimage.data.dataset import fingerprint, open_recordings, read_episodes, save
+from preimage.compute.choices import Device
 from preimage.data.view import View
-from preimage.evaluation.experiments import SIZES
-from preimage.evaluation.held_out import every_nth
-from preimage.examination import examine
-from preimage.method.train import Progress as Told
-from preimage.method.train import TrainConfig, train
+from preimage.method.train import TrainConfig
 from preimage.network.config import ModelConfig
 from preimage.records import number_of
-from preimage.report import examined_page, learning_curve
-from preimage.robot import TASKS, Arm, record, with_frames
-from preimage.storage.provenance import provenance
-from preimage.storage.runs import find_run, read_config, read_settings, read_view, write_card
 
 
 def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels: int = 64) -> None:
@@ -36,6 +29,9 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels:
         seed: draws the scenes and the tutor's hand.
         pixels: height and width of the frames.
     """
+    from preimage.data.dataset import save
+    from preimage.robot import TASKS, Arm, record, with_frames
+
     known_task(task)
     if not 16 <= pixels <= 1024:
         raise ValueError(f"--pixels is {pixels}: give 16 to 1024")
@@ -59,6 +55,10 @@ def check(data: Positional[Path], out: Path = Path("check.html"), view: View = V
         out: page to write, with pictures.
         view: how the recordings are looked at.
     """
+    from preimage.data.dataset import read_episodes
+    from preimage.examination import examine
+    from preimage.report import examined_page
+
     examination = examine(read_episodes(data, view=view))
     examined_page(examination, out, title=f"preimage check: {data.name}")
     for finding in examination.findings:
@@ -107,6 +107,15 @@ def train_(
         view: how the recordings are looked at.
         config: how the network learns.
     """
+    from preimage.compute.processes import gather
+    from preimage.data.dataset import fingerprint, open_recordings
+    from preimage.evaluation.held_out import every_nth
+    from preimage.method.train import Progress as Told
+    from preimage.method.train import train
+    from preimage.report import learning_curve
+    from preimage.storage.provenance import provenance
+    from preimage.storage.runs import read_settings, read_view, write_card
+
     refuse_out_of_range(config)
     opened = open_recordings(data, view=read_view(out) if resume else view)
     recorded, lines = opened.demonstrations, list(opened.told)
@@ -145,6 +154,8 @@ def train_(
 
 def sized(size: str, **asked: Any) -> ModelConfig:
     """The network of a size, with what was asked for in place of its own; ValueError where that is out of range."""
+    from preimage.evaluation.experiments import SIZES
+
     config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
     refuse_out_of_range(config)
     return config
@@ -152,6 +163,8 @@ def sized(size: str, **asked: Any) -> ModelConfig:
 
 def begun_with(out: Path, data: Path, now: str) -> dict[str, Any]:
     """What the run in `out` learned from; ValueError where that has another fingerprint than now."""
+    from preimage.storage.runs import find_run, read_config
+
     learned_from = read_config(find_run(out)).get("data")
     if not isinstance(learned_from, dict) or learned_from.get("fingerprint") != now:
         raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")

@@ -1,4 +1,7 @@
-"""The verbs that end in figures: evaluate, reproduce, report, bench."""
+"""The verbs that end in figures: evaluate, reproduce, report, bench.
+
+What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
+"""
 
 import sys
 from dataclasses import asdict
@@ -9,20 +12,11 @@ import tyro
 from tyro.conf import Positional
 
 from preimage.cli.options import refuse_out_of_range
-from preimage.cli.screen import bar, console, known_task
-from preimage.compute.devices import Device, place_of
-from preimage.compute.processes import Crew, gather
-from preimage.evaluation.bench import bench
-from preimage.evaluation.evaluate import Evaluated, Loop, evaluate, result_of
-from preimage.evaluation.experiments import cells_of, paper_of, reproduce
-from preimage.evaluation.held_out import compare_run
+from preimage.cli.screen import bar, console, known_task, remark
+from preimage.compute.choices import Device
+from preimage.evaluation.loops import Loop
 from preimage.method.plan import PlanConfig
-from preimage.method.train import Progress as Told
-from preimage.report import fill_readme, write_results
-from preimage.robot import TASKS, Arm, with_frames
 from preimage.storage.atomic_write import write_json
-from preimage.storage.provenance import provenance
-from preimage.storage.runs import find_run, load_model, made_from, read_shown
 
 
 def evaluate_(
@@ -55,13 +49,21 @@ def evaluate_(
         devices: processes on this machine that share the goals.
         config: how the plans are searched for.
     """
+    from preimage.compute.processes import gather
+    from preimage.compute.threads import choose_threads
+    from preimage.evaluation.evaluate import Evaluated, evaluate, result_of
+    from preimage.evaluation.experiments import paper_of
+    from preimage.robot import TASKS, Arm, with_frames
+    from preimage.storage.provenance import provenance
+    from preimage.storage.runs import find_run, load_model, made_from, read_shown
+
     known_task(task)
     refuse_out_of_range(config)
     if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
-    crew = gather(devices=devices, num_nodes=1, device=device)
     if data is not None:
-        return compare_with(data, run, out, films, config, crew)
+        return compare_with(data, run, out, films, config, device, devices)
+    crew = gather(devices=devices, num_nodes=1, device=device)
     folder = find_run(run)
     model, learned_from, made = load_model(folder).to(crew.device), read_shown(folder), made_from(folder)
     about = {"task": task, "model": run} | made
@@ -69,6 +71,8 @@ def evaluate_(
     about |= {"seed": seed, "loop": loop, "pixels": model.sensors.height, "paper": paper_of(task, made["num_demonstrations"], loop)}
     about |= {"plan": asdict(config), "provenance": provenance(crew.device)}
     mine = len(crew.share(goals))
+    if crew.size == 1:
+        remark(choose_threads())
     with bar(shown=crew.first) as progress:
         shown = progress.add_task("evaluating", total=mine)
         reached: list[bool] = []
@@ -92,8 +96,15 @@ def evaluate_(
         print(summary(name, baseline))
 
 
-def compare_with(data: Path, run: str, out: Path, films: Path | None, config: PlanConfig, crew: Crew) -> None:
+def compare_with(data: Path, run: str, out: Path, films: Path | None, config: PlanConfig, device: Device, devices: int) -> None:
     """The part of `evaluate` that needs no simulator."""
+    from preimage.compute.processes import gather
+    from preimage.compute.threads import choose_threads
+    from preimage.evaluation.held_out import compare_run
+
+    crew = gather(devices=devices, num_nodes=1, device=device)
+    if crew.size == 1:
+        remark(choose_threads())
     with bar(shown=crew.first) as progress:
         shown = progress.add_task("planning", total=None)
 
@@ -125,6 +136,10 @@ def reproduce_(
         work: folder for demonstrations and runs.
         out: folder for a JSON file a cell.
     """
+    from preimage.compute.devices import place_of
+    from preimage.evaluation.experiments import cells_of, reproduce
+    from preimage.method.train import Progress as Told
+
     with bar() as progress:
         shown = progress.add_task("training", total=None)
 
@@ -149,6 +164,8 @@ def report_(results: Path = Path("results"), out: Path = Path("docs/results.md")
         out: page to write.
         readme: file whose table stands between two marks; without marks it is left alone.
     """
+    from preimage.report import fill_readme, write_results
+
     print(f"wrote {write_results(results, out)}")
     fill_readme(results, readme)
 
@@ -161,6 +178,10 @@ def bench_(out: Path = Path("results/bench.json"), device: Device = "cpu", quick
         device: what to measure.
         quick: a minute instead of five, without the paper's size and the growth of planning time.
     """
+    from preimage.compute.devices import place_of
+    from preimage.evaluation.bench import bench
+    from preimage.storage.provenance import provenance
+
     place = place_of(device)
     write_json(out, bench(place, quick=quick) | {"provenance": provenance(place)})
     print(f"wrote {out}; `preimage report` draws it")

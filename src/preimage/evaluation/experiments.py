@@ -20,7 +20,8 @@ from preimage.compute.devices import CPU
 from preimage.compute.processes import Crew
 from preimage.data.dataset import fingerprint, load, save
 from preimage.evaluation.behaviour_cloning import clone
-from preimage.evaluation.evaluate import Loop, evaluate, result_of
+from preimage.evaluation.evaluate import evaluate, result_of
+from preimage.evaluation.loops import Loop
 from preimage.method.plan import PlanConfig, recognise
 from preimage.method.train import Progress, TrainConfig, train
 from preimage.network.config import ModelConfig
