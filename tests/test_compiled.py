@@ -127,11 +127,11 @@ def test_what_is_not_finite_comes_to_light(where: str) -> None:
 def test_where_no_folder_can_be_written_to_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     from numba.core import caching
 
-    from preimage.fast.planes import keeps_code
+    from preimage.fast.convolution import can_cache
 
-    assert keeps_code()
+    assert can_cache()
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
-    assert not keeps_code()
+    assert not can_cache()
 
 
 def test_a_training_goes_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -94,7 +94,7 @@ def test_the_module_is_the_command():
     assert told.stdout == f"preimage {cli.version()}\n"
 
 
-@pytest.mark.parametrize("verb", cli.VERBS)
+@pytest.mark.parametrize("verb", ["check", "plan", "evaluate"])  # one of each room
 def test_a_missing_argument_is_told_without_what_the_work_needs(verb):
     assert not heavy_after(f"from preimage.cli import main; main(['{verb}', '--nonsense'])") & {"matplotlib", "mujoco", "pyarrow", "av"}
 
