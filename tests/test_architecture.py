@@ -1,6 +1,7 @@
 """The house: a wing imports only wings below its own, and some doors are walled up altogether (DESIGN: "the house")."""
 
 import ast
+from collections.abc import Iterator
 from pathlib import Path
 
 import preimage
@@ -56,3 +57,28 @@ def test_no_room_reaches_through_a_wall():
 
 def test_every_wing_that_is_listed_is_there():
     assert set(WINGS) == {wing_of(path) for path in ROOMS}
+
+
+POSIX_ONLY = {"resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog", "posix", "curses", "crypt", "spwd", "nis", "readline"}
+"""Modules of the standard library that Windows does not have."""
+
+
+def on_import(node: ast.AST) -> Iterator[ast.AST]:
+    """What runs when a file is imported: all but the insides of functions."""
+    for child in ast.iter_child_nodes(node):
+        if not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            yield child
+            yield from on_import(child)
+
+
+def modules_of(node: ast.AST) -> list[str]:
+    """What an import names."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    return [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+
+
+def test_nothing_is_imported_at_once_that_windows_does_not_have():
+    trees = {path.relative_to(ROOT): ast.parse(path.read_text()) for path in ROOT.rglob("*.py")}
+    packages = {path: {name.split(".")[0] for node in on_import(tree) for name in modules_of(node)} for path, tree in trees.items()}
+    assert not {str(path): missing for path, names in packages.items() if (missing := names & POSIX_ONLY)}

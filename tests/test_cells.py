@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from preimage.network.cells import LSTM, ConvLSTM, Lateral, depth_to_space, expected_places, space_to_depth
+from preimage.network.cells import LSTM, ConvLSTM, Lateral, depth_to_space, expected_positions, space_to_depth
 from preimage.network.linear import Conv, Linear
 
 
@@ -43,9 +43,9 @@ def test_a_1x1_conv_lstm_is_torchs_lstm_cell_at_every_place() -> None:
 
 
 def plain(layer: Linear | Conv, gates: torch.Tensor, cell: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    admit, keep, show, candidate = gates.chunk(4, dim=1)
-    cell = torch.sigmoid(keep) * cell + torch.sigmoid(admit) * torch.tanh(candidate)
-    return torch.sigmoid(show) * torch.tanh(cell), cell
+    input_gate, forget_gate, output_gate, candidate = gates.chunk(4, dim=1)
+    cell = torch.sigmoid(forget_gate) * cell + torch.sigmoid(input_gate) * torch.tanh(candidate)
+    return torch.sigmoid(output_gate) * torch.tanh(cell), cell
 
 
 @pytest.mark.parametrize("spatial", [(), (4, 6)])
@@ -107,15 +107,15 @@ def test_depth_to_space_undoes_space_to_depth_and_patches_stay_together() -> Non
 def test_a_keypoint_moves_with_what_it_points_at(right: int, down: int) -> None:
     heat = torch.zeros(2, 9, 11, 1, dtype=torch.float64)
     heat[0, 1:4, 2:5] = heat[1, 1 + down : 4 + down, 2 + right : 5 + right] = 50.0
-    before, after = expected_places(heat)
+    before, after = expected_positions(heat)
     torch.testing.assert_close(after - before, torch.tensor([2 / 10 * right, 2 / 8 * down], dtype=torch.float64))
 
 
 def test_what_the_motors_see_ends_with_the_places_of_the_keypoints() -> None:
-    tie = Lateral(channels=6, units=5, size=(8, 8), grid=(4, 4), lateral=2, seen=3, keypoints=2).double()
+    lateral = Lateral(channels=6, units=5, size=(8, 8), grid=(4, 4), lateral=2, seen=3, keypoints=2).double()
     maps = torch.randn(2, 6, 8, 8, dtype=torch.float64)
-    seen = tie.to_motor(torch.float64)(maps)
+    seen = lateral.to_motor(torch.float64)(maps)
     assert seen.shape == (2, 3 * 16 + 2 * 2)
-    assert tie.to_keypoints is not None
-    heat = 10 * tie.to_keypoints(maps.permute(0, 2, 3, 1))
-    torch.testing.assert_close(seen[:, -4:], expected_places(heat))
+    assert lateral.to_keypoints is not None
+    heat = 10 * lateral.to_keypoints(maps.permute(0, 2, 3, 1))
+    torch.testing.assert_close(seen[:, -4:], expected_positions(heat))

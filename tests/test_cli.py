@@ -12,8 +12,8 @@ from PIL import Image
 import preimage
 from conftest import make_demonstration
 from preimage import cli
-from preimage.cli import learning
 from preimage.data.dataset import describe
+from preimage.method import train as training
 from preimage.storage.runs import BUNDLED, find_run
 
 QUICK = ["--iterations", "2", "--horizon", "4"]
@@ -162,7 +162,6 @@ def test_evaluate_writes_counts_and_baselines(capsys, run_folder, tmp_path):
 FULL_DISK = """
 import resource, sys
 from preimage import cli
-from preimage.cli import learning
 import preimage.method.train as training
 
 def fill(told):
@@ -170,7 +169,7 @@ def fill(told):
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
 
 plain = training.train
-learning.train = lambda *arguments, progress, **words: plain(*arguments, **words, progress=lambda told: (progress(told), fill(told)))
+training.train = lambda *arguments, progress, **words: plain(*arguments, **words, progress=lambda told: (progress(told), fill(told)))
 cli.main(sys.argv[1:])
 """
 
@@ -203,13 +202,13 @@ def test_a_full_disk_while_planning_is_told(refused, run_folder, data, tmp_path,
 
 
 def test_ctrl_c_saves_and_the_run_can_be_resumed(data, tmp_path, capsys, monkeypatch):
-    plain = learning.train
+    plain = training.train
 
     def interrupted(*arguments, progress, **words):
         return plain(*arguments, **words, progress=lambda told: (progress(told), signal.raise_signal(signal.SIGINT)))
 
     run = tmp_path / "run"
-    monkeypatch.setattr(learning, "train", interrupted)
+    monkeypatch.setattr(training, "train", interrupted)
     with pytest.raises(SystemExit) as left:
         cli.main(["train", str(data), "--out", str(run), "--size", "tiny", "--updates", "2"])
     assert left.value.code == 1

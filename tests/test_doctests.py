@@ -25,7 +25,7 @@ def test_examples(path):
     parts = path.relative_to(ROOT.parent).with_suffix("").parts
     if path.name == "gym.py":
         pytest.importorskip("gymnasium")
-    if path.name in ("lanes.py", "planes.py", "compiled.py", "program.py"):
+    if path.name in ("simd.py", "convolution.py", "compiled.py", "program.py"):
         pytest.importorskip("numba")
     module = importlib.import_module(".".join(part for part in parts if part != "__init__"))
     runner = doctest.DocTestRunner()

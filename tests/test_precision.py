@@ -9,7 +9,7 @@ import torch
 
 from preimage.compute import precision
 from preimage.compute.devices import CPU
-from preimage.compute.precision import computes_bfloat16, describe_precision, resolve_precision
+from preimage.compute.precision import computes_bfloat16, describe_precision, instruction_set, resolve_precision
 
 
 @pytest.mark.parametrize(("native", "taken"), [(True, "bfloat16"), (False, "float32")])
@@ -67,3 +67,10 @@ def test_a_machine_with_avx2_alone_takes_float32() -> None:
         check=True,
     )
     assert told.stdout == "float32\n"
+
+
+def test_the_instruction_set_says_whether_bfloat16_is_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX512")
+    for native, name in ((True, "AVX512 with bfloat16"), (False, "AVX512")):
+        monkeypatch.setattr(precision, "computes_bfloat16", lambda _device, native=native: native)
+        assert instruction_set(CPU) == name

@@ -10,7 +10,17 @@ from hypothesis import strategies as st
 from preimage.method.prediction_error import VISUAL_WEIGHT, SequenceError, arrival_step, proprioceptive_error, sequence_error, visual_error
 from preimage.network.pdvmrnn import Generated
 
-distributions = st.lists(st.floats(0.01, 1), min_size=4, max_size=4).map(lambda shares: torch.tensor(shares).double() / sum(shares))
+distributions = st.lists(st.floats(0.01, 1), min_size=4, max_size=4).map(lambda shares: distribution_of(torch.tensor(shares).double()))
+
+
+def distribution_of(shares: torch.Tensor) -> torch.Tensor:
+    """They in proportion, with a sum of one to the last digits of double precision, as the inequalities below ask for."""
+    return shares / shares.sum()
+
+
+@given(distributions)
+def test_what_is_drawn_is_a_distribution(code):
+    assert float(code.sum()) == pytest.approx(1, abs=1e-15)
 
 
 def test_visual_error_is_the_squared_error_summed_over_4096_pixels():

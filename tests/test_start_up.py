@@ -11,6 +11,7 @@ import pytest
 
 import preimage
 from preimage import cli
+from preimage.cli.screen import remark
 
 HEAVY = {"torch", "matplotlib", "mujoco", "numpy", "pyarrow", "av", "numba", "tyro"}
 LOADED = f"import sys; print(sorted({HEAVY} & set(sys.modules)))"
@@ -91,3 +92,13 @@ def test_a_word_that_is_near_no_verb_is_answered_with_all(refused):
 def test_the_module_is_the_command():
     told = subprocess.run([sys.executable, "-m", "preimage", "--version"], capture_output=True, text=True, check=True)
     assert told.stdout == f"preimage {cli.version()}\n"
+
+
+@pytest.mark.parametrize("verb", ["check", "plan", "evaluate"])  # one of each room
+def test_a_missing_argument_is_told_without_what_the_work_needs(verb):
+    assert not heavy_after(f"from preimage.cli import main; main(['{verb}', '--nonsense'])") & {"matplotlib", "mujoco", "pyarrow", "av"}
+
+
+def test_how_the_work_is_done_is_said_apart_from_what_comes_of_it(capsys):
+    remark("threads: 1 (2 of 2 cores busy)")
+    assert capsys.readouterr() == ("", "threads: 1 (2 of 2 cores busy)\n")

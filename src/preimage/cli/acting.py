@@ -1,4 +1,7 @@
-"""The verbs that lead from a trained model to an arm that moves: demo, plan, execute."""
+"""The verbs that lead from a trained model to an arm that moves: demo, plan, execute.
+
+What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,19 +11,11 @@ import numpy as np
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.screen import bar
-from preimage.compute.devices import Device, place_of
-from preimage.data.sources import find_percept
-from preimage.evaluation import demo as demonstration_of_it_all
-from preimage.ideas.waypoints import join
+from preimage.cli.screen import bar, remark
+from preimage.compute.choices import Device
 from preimage.presets import PlanOptions, Preset, load_planner
 from preimage.records import Percept, Plan, number_of
-from preimage.report import figure, film
-from preimage.robot import Arm
-from preimage.robot.execution import execute
-from preimage.robot.limits import commands_of, limits_seen, read_limits
-from preimage.storage.plans import load_plan, save_episode, save_plan
-from preimage.storage.runs import BUNDLED, find_run, read_body, read_shown, read_view
+from preimage.storage.bundled import BUNDLED
 
 BundledTask = Annotated[str, tyro.conf.arg(help=f"which of the bundled models: {' or '.join(BUNDLED)}.")]
 
@@ -39,11 +34,15 @@ def demo(
         goals: how many goals.
         seed: draws the goals.
         out: folder for films, figures and report.html.
-        as_: paper is the paper's method alone, regression network and search without memory, full all ideas; what is given besides changes
-        it. config: how the plans are searched for.
+        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
+        config: how the plans are searched for.
     """
     if task not in BUNDLED:
         raise ValueError(f"there is no bundled model of {task}; there are {', '.join(BUNDLED)}")
+    from preimage.compute.threads import choose_threads
+    from preimage.evaluation import demo as demonstration_of_it_all
+
+    remark(choose_threads())
     with bar() as progress:
         shown = progress.add_task("planning and executing", total=goals)
         report = demonstration_of_it_all.run(task, config, goals=goals, seed=seed, out=out, progress=lambda: progress.advance(shown))
@@ -74,9 +73,18 @@ def plan_(
         goal_joints: joint angles of the goal (rad), for --modalities joints or both.
         joint_limits: JSON of what may be commanded, joint by joint: lower, upper, velocity or step; by default what was demonstrated.
         device: what computes; of a small network the CPU has a plan before a GPU has made ready.
-        as_: paper is the paper's method alone, regression network and search without memory, full all ideas; what is given besides changes
-        it. config: how the plan is searched for.
+        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
+        config: how the plan is searched for.
     """
+    from preimage.compute.devices import place_of
+    from preimage.compute.threads import choose_threads
+    from preimage.data.sources import find_percept
+    from preimage.ideas.waypoints import join
+    from preimage.report import figure, film
+    from preimage.robot.limits import commands_of, limits_seen, read_limits
+    from preimage.storage.plans import save_episode, save_plan
+    from preimage.storage.runs import find_run, read_body, read_shown, read_view
+
     refuse_useless_joints(goal_joints, num_goals=len(goal), modalities=config.modalities)
     folder = find_run(run)  # once, so that all parts of a run on the Hub are of one revision
     planner, view, body = load_planner(folder, config, device=place_of(device)), read_view(folder), read_body(folder)
@@ -89,6 +97,7 @@ def plan_(
     if goal_joints is not None:
         goals = [Percept(goals[0].frame, np.array(goal_joints))]
     begin = find_percept(start, model.sensors, view=view, default_step=0).percept if start else None
+    threads = choose_threads()
     legs = planner.plan_in_turn(start=begin, goals=goals)
     found = join(legs)
     commands, limited = commands_of(found, limits)
@@ -97,6 +106,7 @@ def plan_(
     film(found, None, out / "imagined.mp4")
     figure(found, None, out / "imagined.png", joint_unit=body.joint_unit)
     print("\n".join(sentences_of(legs, found, out)))
+    print(threads)
     print("\n".join(limited) or "no limit changed the joints to command")
 
 
@@ -129,6 +139,11 @@ def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.a
         folder: what `preimage plan` wrote.
         film_: film to write, .mp4 or .gif, imagined beside executed.
     """
+    from preimage.report import film
+    from preimage.robot import Arm
+    from preimage.robot.execution import execute
+    from preimage.storage.plans import load_plan
+
     found, scene = load_plan(folder)
     if scene is None:
         raise ValueError(f"the plan in {folder} is for a goal without a scene, which nothing can judge: plan with --goal DATA:EPISODE")

@@ -1,4 +1,7 @@
-"""The verbs that lead from recordings to a trained model: record, check, train."""
+"""The verbs that lead from recordings to a trained model: record, check, train.
+
+What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
+"""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -8,20 +11,11 @@ import tyro
 from tyro.conf import Positional
 
 from preimage.cli.screen import bar, known_task
-from preimage.compute.devices import Device
-from preimage.compute.processes import gather
-from preimage.data.dataset import fingerprint, open_recordings, read_episodes, save
+from preimage.compute.choices import Device
 from preimage.data.view import View
-from preimage.evaluation.held_out import every_nth
-from preimage.examination import examine
-from preimage.method.train import Progress as Told
 from preimage.network.config import ModelConfig
 from preimage.presets import Preset, TrainOptions, network_config, train
 from preimage.records import number_of
-from preimage.report import examined_page, learning_curve
-from preimage.robot import TASKS, Arm, record, with_frames
-from preimage.storage.provenance import provenance
-from preimage.storage.runs import find_run, read_config, read_settings, read_view, write_card
 
 
 def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels: int = 64) -> None:
@@ -34,6 +28,9 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels:
         seed: draws the scenes and the tutor's hand.
         pixels: height and width of the frames.
     """
+    from preimage.data.dataset import save
+    from preimage.robot import TASKS, Arm, record, with_frames
+
     known_task(task)
     if not 16 <= pixels <= 1024:
         raise ValueError(f"--pixels is {pixels}: give 16 to 1024")
@@ -57,6 +54,10 @@ def check(data: Positional[Path], out: Path = Path("check.html"), view: View = V
         out: page to write, with pictures.
         view: how the recordings are looked at.
     """
+    from preimage.data.dataset import read_episodes
+    from preimage.examination import examine
+    from preimage.report import examined_page
+
     examination = examine(read_episodes(data, view=view))
     examined_page(examination, out, title=f"preimage check: {data.name}")
     for finding in examination.findings:
@@ -109,6 +110,14 @@ def train_(
         as_: paper is the paper's network and learning alone; regression and full begin with a latent intention.
         config: how the network learns.
     """
+    from preimage.compute.processes import gather
+    from preimage.data.dataset import fingerprint, open_recordings
+    from preimage.evaluation.held_out import every_nth
+    from preimage.method.train import Progress as Told
+    from preimage.report import learning_curve
+    from preimage.storage.provenance import provenance
+    from preimage.storage.runs import read_settings, read_view, write_card
+
     opened = open_recordings(data, view=read_view(out) if resume else view)
     recorded, lines = opened.demonstrations, list(opened.told)
     learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "held_out": every_nth(len(recorded), hold_out)}
@@ -156,6 +165,8 @@ def sized(size: str, preset: Preset, **asked: Any) -> ModelConfig:
 
 def begun_with(out: Path, data: Path, now: str) -> dict[str, Any]:
     """What the run in `out` learned from; ValueError where that has another fingerprint than now."""
+    from preimage.storage.runs import find_run, read_config
+
     learned_from = read_config(find_run(out)).get("data")
     if not isinstance(learned_from, dict) or learned_from.get("fingerprint") != now:
         raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")

@@ -1,4 +1,7 @@
-"""The verbs that end in figures: evaluate, reproduce, report, bench."""
+"""The verbs that end in figures: evaluate, reproduce, report, bench.
+
+What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
+"""
 
 import sys
 from dataclasses import asdict
@@ -8,21 +11,11 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.screen import bar, console, known_task
-from preimage.compute.devices import Device, place_of
-from preimage.compute.processes import Crew, gather
-from preimage.evaluation.bench import bench
-from preimage.evaluation.evaluate import Evaluated, Loop, evaluate, result_of
-from preimage.evaluation.experiments import reproduce
-from preimage.evaluation.held_out import compare_run
-from preimage.evaluation.recipes import cells_of, paper_of
-from preimage.method.train import Progress as Told
+from preimage.cli.screen import bar, console, known_task, remark
+from preimage.compute.choices import Device
+from preimage.evaluation.loops import Loop
 from preimage.presets import PlanOptions, Preset, load_planner
-from preimage.report import fill_readme, write_results
-from preimage.robot import TASKS, Arm, with_frames
 from preimage.storage.atomic_write import write_json
-from preimage.storage.provenance import provenance
-from preimage.storage.runs import find_run, made_from, read_shown
 
 
 def evaluate_(
@@ -54,15 +47,23 @@ def evaluate_(
         loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from what the tutor saw.
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share the goals.
-        as_: paper is the paper's method alone, regression network and search without memory, full all ideas; what is given besides changes
-        it. config: how the plans are searched for.
+        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
+        config: how the plans are searched for.
     """
+    from preimage.compute.processes import gather
+    from preimage.compute.threads import choose_threads
+    from preimage.evaluation.evaluate import Evaluated, evaluate, result_of
+    from preimage.evaluation.recipes import paper_of
+    from preimage.robot import TASKS, Arm, with_frames
+    from preimage.storage.provenance import provenance
+    from preimage.storage.runs import find_run, made_from, read_shown
+
     known_task(task)
     if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
-    crew = gather(devices=devices, num_nodes=1, device=device)
     if data is not None:
-        return compare_with(data, run, out, films, config, crew)
+        return compare_with(data, run, out, films, config, device, devices)
+    crew = gather(devices=devices, num_nodes=1, device=device)
     folder = find_run(run)
     planner, learned_from, made = load_planner(folder, config, device=crew.device), read_shown(folder), made_from(folder)
     about = {"task": task, "model": run, "preset": as_} | made
@@ -71,6 +72,8 @@ def evaluate_(
     about |= {"seed": seed, "loop": loop, "pixels": pixels, "paper": paper_of(task, made["num_demonstrations"], loop)}
     about |= {"plan": asdict(config), "provenance": provenance(crew.device)}
     mine = len(crew.share(goals))
+    if crew.size == 1:
+        remark(choose_threads())
     with bar(shown=crew.first) as progress:
         shown = progress.add_task("evaluating", total=mine)
         reached: list[bool] = []
@@ -92,8 +95,15 @@ def evaluate_(
         print(summary(name, baseline))
 
 
-def compare_with(data: Path, run: str, out: Path, films: Path | None, options: PlanOptions, crew: Crew) -> None:
+def compare_with(data: Path, run: str, out: Path, films: Path | None, options: PlanOptions, device: Device, devices: int) -> None:
     """The part of `evaluate` that needs no simulator."""
+    from preimage.compute.processes import gather
+    from preimage.compute.threads import choose_threads
+    from preimage.evaluation.held_out import compare_run
+
+    crew = gather(devices=devices, num_nodes=1, device=device)
+    if crew.size == 1:
+        remark(choose_threads())
     with bar(shown=crew.first) as progress:
         shown = progress.add_task("planning", total=None)
 
@@ -125,6 +135,11 @@ def reproduce_(
         work: folder for demonstrations and runs.
         out: folder for a JSON file a cell.
     """
+    from preimage.compute.devices import place_of
+    from preimage.evaluation.experiments import reproduce
+    from preimage.evaluation.recipes import cells_of
+    from preimage.method.train import Progress as Told
+
     with bar() as progress:
         shown = progress.add_task("training", total=None)
 
@@ -149,6 +164,8 @@ def report_(results: Path = Path("results"), out: Path = Path("docs/results.md")
         out: page to write.
         readme: file whose table stands between two marks; without marks it is left alone.
     """
+    from preimage.report import fill_readme, write_results
+
     print(f"wrote {write_results(results, out)}")
     fill_readme(results, readme)
 
@@ -159,8 +176,12 @@ def bench_(out: Path = Path("results/bench.json"), device: Device = "cpu", quick
     Args:
         out: JSON file to write.
         device: what to measure.
-        quick: leave out the paper's size and the growth of planning time.
+        quick: a minute instead of five, without the paper's size and the growth of planning time.
     """
+    from preimage.compute.devices import place_of
+    from preimage.evaluation.bench import bench
+    from preimage.storage.provenance import provenance
+
     place = place_of(device)
     write_json(out, bench(place, quick=quick) | {"provenance": provenance(place)})
     print(f"wrote {out}; `preimage report` draws it")

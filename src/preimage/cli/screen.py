@@ -12,6 +12,11 @@ def bar(*, shown: bool = True) -> Progress:
     return Progress(*columns, console=console, disable=not (shown and console.is_terminal))
 
 
+def remark(line: str) -> None:
+    """A line about how the work is done, apart from what comes of it."""
+    console.print(line, highlight=False, soft_wrap=True)
+
+
 def known_task(task: str) -> None:
     """Raises ValueError where there is no task of this name."""
     from preimage.robot import TASKS

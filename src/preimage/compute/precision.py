@@ -50,3 +50,14 @@ def describe_precision(precision: Precision, device: "torch.device") -> str:
     else:
         reason = f"this {name} computes it natively" if native else f"this {name} would only emulate bfloat16"
     return f"precision: {resolved} ({reason})"
+
+
+def instruction_set(device: "torch.device") -> str:
+    """What the device computes with: the widest vectors that torch uses of a processor, the generation of a GPU."""
+    import torch
+
+    if device.type == "cuda":
+        major, minor = torch.cuda.get_device_capability(device)
+        return f"sm_{major}{minor}"
+    widest = torch.backends.cpu.get_cpu_capability()
+    return f"{widest} with bfloat16" if computes_bfloat16(device) else widest

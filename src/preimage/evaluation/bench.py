@@ -1,14 +1,16 @@
 """How fast it is, beside what the machine could do at most, measured in the same run.
 
-The limit is the faster of a large matrix product and the network's own largest convolution, at each precision. Training is told in
+The limit is the faster of a large matrix product and the network's own largest convolution, at each precision. Training is reported in
 sequence steps a second (one step of one sequence, forward and backward) and as a share of that limit; planning in seconds from the
-request to the plan.
+request to the plan. Work is measured at both precisions, first at the one that `auto` takes here, under its own name.
 """
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -18,26 +20,43 @@ from torch.utils.flop_counter import FlopCounterMode
 from preimage import fast
 from preimage.compute.devices import CPU, chip_of
 from preimage.compute.freed_memory import keep_freed_memory
+from preimage.compute.precision import Resolved, computes_bfloat16, describe_precision, instruction_set, resolve_precision
+from preimage.compute.processes import Crew
 from preimage.data.sequences import Sequences
-from preimage.method.plan import PlanConfig, imagine_library, plan
-from preimage.method.train import Learner, TrainConfig, error_of, optimiser_of
+from preimage.method.config import PlanConfig, TrainConfig
+from preimage.method.plan import plan
+from preimage.method.train import Learner, Progress, error_of, optimiser_of, plain_batch, train
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN
-from preimage.records import Percept
+from preimage.presets import Planner, PlanOptions, TrainOptions, load_planner
+from preimage.records import Demonstration, Percept
 from preimage.robot import TASKS, Arm, record
-from preimage.storage.runs import load_model
+from preimage.storage.runs import find_run, read_settings
 
 ARM = Sensors(64, 64, 1, ("yaw", "shoulder", "elbow", "wrist"), (-1.0,) * 4, (1.0,) * 4)
 PEER = Sensors(48, 64, 1, ("pan", "tilt"), (-1.0,) * 2, (1.0,) * 2)
 """Frames and joints of P-VMDNN."""
 PEER_CONFIG = ModelConfig(vision_channels=(6, 8, 8), motor_units=(16, 8, 6), top_channels=6, lateral_channels=2, seen_channels=2)
 """About P-VMDNN's 42,000 weights."""
-REPEATS = 6
-"""How often long work is timed; the fastest counts, for a machine has other things to do now and then."""
-UNSEARCHED, TO_THE_END = PlanConfig(iterations=0), PlanConfig(enough=0.0)
-"""A plan as it is recalled, and one that is searched for although it is good enough: the iterations are what they differ in."""
-TIMED_SEED = 900
-"""Draws the goals whose plans are timed."""
+REPEATS, AT_MOST_S = 6, 5.0
+"""How often work is timed, and for how long at the most; the fastest counts, for a machine has other things to do now and then."""
+UNSEARCHED, TO_THE_END = (replace(PlanOptions.full(), restarts=0, **each) for each in ({"iterations": 0}, {"tolerance": 0.0}))
+"""A plan at its initial guess, and one that is searched for although it is good enough: the iterations are what they differ in."""
+TASK, TIMED_SEED = "reach", 900
+"""The bundled model whose plans and whose training are timed, and what draws the goals."""
+TIMED_UPDATES = 5
+"""Updates of a training that are measured, after one that is not; the rest is extrapolated."""
+SHORTER = 10
+"""The paper's sequences are cut to this share where a precision is emulated, or an update would take minutes."""
+START_UPS = {
+    "import_s": ("-c", "import preimage"),
+    "import_all_s": ("-c", "from preimage import *"),
+    "help_s": ("-m", "preimage", "--help"),
+}
+"""What is timed in a Python of its own."""
+
+Measured = TypeVar("Measured")
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -48,58 +67,116 @@ class Work:
     sensors: Sensors = ARM
     batch: int = 10
     steps: int = 16
-    dtype: torch.dtype = torch.bfloat16
+    precision: Resolved = "bfloat16"
 
 
-def bench(place: torch.device = CPU, *, quick: bool = False, tell: Callable[[str], None] = print) -> dict[str, Any]:
+def bench(device: torch.device = CPU, *, quick: bool = False, report: Report = print) -> dict[str, Any]:
     """All figures, ready for JSON.
 
     Args:
-        place: what is measured.
-        quick: leave out the paper's size and the growth.
+        device: what is measured.
+        quick: leave out the paper's size and the growth, and plan to fewer goals: a minute instead of five.
+        report: gets a line for each figure.
     """
     keep_freed_memory()
-    limits = {name: limit_gflops(place, dtype) for name, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16))}
-    tell(f"limit: {limits['fp32']:.0f} GFLOP/s in float32, {limits['bf16']:.0f} in bfloat16")
-    result: dict[str, Any] = {"device": chip_of(place), "threads": torch.get_num_threads(), "limit_gflops": limits}
+    taken = resolve_precision("auto", device)
+    other: Resolved = "float32" if taken == "bfloat16" else "bfloat16"
+    result: dict[str, Any] = {"device": chip_of(device), "threads": torch.get_num_threads()}
+    result |= {"instruction_set": instruction_set(device), "precision": taken}
+    report(f"{result['device']}, {result['threads']} threads, {result['instruction_set']}; {describe_precision('auto', device)}")
+    result["start_up"] = {name: seconds_of_start(words) for name, words in START_UPS.items()}
+    report(", ".join(f"{name.removesuffix('_s')} {seconds} s" for name, seconds in result["start_up"].items()))
+    limits = {name: limit_gflops(device, dtype) for name, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16))}
+    result["limit_gflops"] = limits
+    report(f"limit: {limits['fp32']:.0f} GFLOP/s in float32, {limits['bf16']:.0f} in bfloat16")
     if not fast.is_available():
-        tell("tiny networks are not compiled, for numba is not there: pip install 'preimage[fast]'")
-    works = {"small": Work(ModelConfig.small()), "peer": Work(PEER_CONFIG, PEER, batch=2, steps=80, dtype=torch.float32)}
+        report("tiny networks are not compiled, for numba is not there: pip install 'preimage[fast]'")
+    works = works_at(taken, other, device, quick=quick)
+    result["train"] = {name: timed_training(work, device, limits, report, name) for name, work in works.items()}
+    demonstrations = record(Arm(), TASKS[TASK], count=5 if quick else 15, seed=TIMED_SEED)
+    result["whole_training"] = whole_training(demonstrations, device, taken, report)
+    result["plan"] = timed_searches(demonstrations, device, taken, other, report, quick=quick)
     if not quick:
-        works["paper"] = Work(ModelConfig.paper(), steps=60)
-    result["train"] = {name: timed_training(work, place, limits, tell, name) for name, work in works.items()}
-    result["plan"] = {"small": timed_plans("reach", place, tell), "peer": timed_iterations(PEER_CONFIG, PEER, place, steps=19)}
-    tell(f"one iteration of the peer's work: {result['plan']['peer']['ms_per_iteration']} ms")
-    if not quick:
-        result["plan"]["paper"] = timed_iterations(ModelConfig.paper(), ARM, place, steps=60)
-        result["growth"] = growth(place, tell)
-    result["peak_memory_mb"] = peak_memory_mb(place)
-    return result
+        result["growth"] = growth(device, taken, report)
+    peak = peak_memory_mb(device)
+    return result if peak is None else result | {"peak_memory_mb": peak}
 
 
-def limit_gflops(place: torch.device, dtype: torch.dtype) -> float:
+def works_at(taken: Resolved, other: Resolved, device: torch.device, *, quick: bool) -> dict[str, Work]:
+    """The training work that is timed, by name: at the precision that is taken, and at the other, which the name then says."""
+    works = {"small": Work(ModelConfig.small(), precision=taken), f"small, {other}": Work(ModelConfig.small(), precision=other)}
+    works["peer"] = Work(PEER_CONFIG, PEER, batch=2, steps=80, precision="float32")
+    if not quick:
+        works["paper"] = Work(ModelConfig.paper(), steps=60, precision=taken)
+        emulated = other == "bfloat16" and not computes_bfloat16(device)
+        works[f"paper, {other}"] = replace(works["paper"], steps=60 // SHORTER if emulated else 60, precision=other)
+    return works
+
+
+def timed_searches(
+    demonstrations: list[Demonstration], device: torch.device, taken: Resolved, other: Resolved, report: Report, *, quick: bool
+) -> dict[str, dict[str, Any]]:
+    """Plans of the bundled model, and iterations of the paper's own search at three sizes."""
+    searches = {
+        "small": timed_plans(demonstrations, device, taken, report),
+        f"small, {other}": timed_plans(demonstrations[: 1 if quick else 5], device, other, report),
+        "small, Adam": timed_iterations(ModelConfig.small(), ARM, device, taken, steps=16),
+        "peer": timed_iterations(PEER_CONFIG, PEER, device, "float32", steps=19),
+    }
+    if not quick:
+        searches["paper"] = timed_iterations(ModelConfig.paper(), ARM, device, taken, steps=60)
+    for name in ("small, Adam", "peer", "paper"):
+        if name in searches:
+            report(f"the paper's search, {name.removesuffix(', Adam')}: {searches[name]['ms_per_iteration']} ms an iteration of Adam")
+    return searches
+
+
+def seconds_of_start(words: tuple[str, ...]) -> float:
+    """Seconds until a Python of its own has done this, the faster of two."""
+
+    def start() -> float:
+        began = time.perf_counter()
+        subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL)
+        return time.perf_counter() - began
+
+    return round(min(start() for _ in range(2)), 2)
+
+
+def limit_gflops(device: torch.device, dtype: torch.dtype) -> float:
     """The most that was seen: a product of matrices that are large for the device, or a 3x3 convolution of the paper's second level."""
-    size = 8192 if place.type == "cuda" else 1024
-    one, other = (torch.randn(size, size, device=place).to(dtype) for _ in range(2))
-    maps = torch.randn(10, 160, 16, 16, device=place).to(dtype, memory_format=torch.channels_last)
-    weight = torch.randn(320, 160, 3, 3, device=place).to(dtype, memory_format=torch.channels_last)
-    of_product, _ = fastest(lambda: one @ other, place)
-    of_convolution, _ = fastest(lambda: nn.functional.conv2d(maps, weight, padding=1), place)
+    size = 8192 if device.type == "cuda" else 1024
+    one, other = (torch.randn(size, size, device=device).to(dtype) for _ in range(2))
+    maps = torch.randn(10, 160, 16, 16, device=device).to(dtype, memory_format=torch.channels_last)
+    weight = torch.randn(320, 160, 3, 3, device=device).to(dtype, memory_format=torch.channels_last)
+    of_product, _ = fastest(lambda: one @ other, device, repeats=15)
+    of_convolution, _ = fastest(lambda: nn.functional.conv2d(maps, weight, padding=1), device, repeats=15)
     product, convolution = 2 * size**3 / of_product, 2 * weight.numel() * maps.shape[0] * 256 / of_convolution
     return round(max(product, convolution) / 1e9, 1)
 
 
-def fastest(work: Callable[[], Any], place: torch.device, repeats: int = 15) -> tuple[float, float]:
-    """The least seconds, on the wall and of all cores together, of some repeats, after two that are not counted."""
-    walls, cores = zip(*(seconds_of(work, place) for _ in range(repeats + 2)), strict=True)
-    return min(walls[2:]), min(cores[2:])
+def fastest(work: Callable[[], Any], device: torch.device, repeats: int = REPEATS) -> tuple[float, float]:
+    """The least seconds, on the wall and of all cores together."""
+    walls, cores = zip(*repeated(lambda: seconds_of(work, device), repeats), strict=True)
+    return min(walls), min(cores)
 
 
-def seconds_of(work: Callable[[], Any], place: torch.device) -> tuple[float, float]:
+def repeated(measure: Callable[[], Measured], repeats: int = REPEATS) -> list[Measured]:
+    """Some measurements after one that does not count, fewer where they would take longer than `AT_MOST_S`, but one at least."""
+    began = time.perf_counter()
+    measure()
+    if time.perf_counter() - began < AT_MOST_S / (repeats + 2):  # caches and clocks settle within two
+        measure()
+    began, measured = time.perf_counter(), [measure()]
+    while len(measured) < repeats and (time.perf_counter() - began) * (1 + 1 / len(measured)) < AT_MOST_S:
+        measured.append(measure())
+    return measured
+
+
+def seconds_of(work: Callable[[], Any], device: torch.device) -> tuple[float, float]:
     began, began_cores = time.perf_counter(), time.process_time()
     work()
-    if place.type == "cuda":
-        torch.cuda.synchronize(place)
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
     return time.perf_counter() - began, time.process_time() - began_cores
 
 
@@ -114,104 +191,124 @@ def flops_of_step(model: PDVMRNN) -> int:
     return counter.get_total_flops()
 
 
-def update_of(work: Work, place: torch.device) -> tuple[PDVMRNN, Callable[[], None]]:
+def update_of(work: Work, device: torch.device) -> tuple[PDVMRNN, Callable[[], None]]:
     """A network, and the forward and backward of a batch as training does them; the optimiser's step is left out, it is small."""
-    model = PDVMRNN(work.config, work.sensors, work.batch).to(place)
-    config = TrainConfig(precision="bfloat16" if work.dtype == torch.bfloat16 else "float32")
+    model = PDVMRNN(work.config, work.sensors, work.batch).to(device)
+    config = TrainConfig(precision=work.precision)
     learner = Learner(model, optimiser_of(model, config))
     sensors, shape = work.sensors, (work.batch, work.steps)
     frames = torch.full((*shape, sensors.height, sensors.width, sensors.channels), 127, dtype=torch.uint8)
     sequences = Sequences(frames, torch.zeros(*shape, sensors.num_joints), torch.full((work.batch,), work.steps), rest_steps=0)
-    rows, blended = torch.arange(work.batch), torch.zeros(work.batch, dtype=torch.bool)
-    no_noise = torch.zeros(work.batch, *model.pixel_bias.shape)
+    batch = plain_batch(torch.arange(work.batch), sequences)
     generator = torch.Generator().manual_seed(0)
 
     def once() -> None:
         model.zero_grad()
-        intention, charge = model.intention_table.draw(rows, generator)
-        (error_of(learner, intention, sequences, no_noise, blended, config).total + charge).mean().backward()
+        intention, charge = model.intention_table.draw(batch.rows[:, 0], generator)
+        (error_of(learner, intention.flatten(), batch, config).total + charge).mean().backward()
 
     return model, once
 
 
-def timed_training(work: Work, place: torch.device, limits: dict[str, float], tell: Callable[[str], None], name: str) -> dict[str, Any]:
+def timed_training(work: Work, device: torch.device, limits: dict[str, float], report: Report, name: str) -> dict[str, Any]:
     """Updates of a network, beside the limit."""
-    model, once = update_of(work, place)
-    seconds, cpu_seconds = fastest(once, place, REPEATS)
+    model, once = update_of(work, device)
+    seconds, cpu_seconds = fastest(once, device)
     seq_steps = work.batch * work.steps
     gflop_per_seq_step = 3 * flops_of_step(model) / 1e9
     gflops = gflop_per_seq_step * seq_steps / seconds
-    limit = limits["bf16" if work.dtype == torch.bfloat16 else "fp32"]
-    told = {
+    limit = limits["bf16" if work.precision == "bfloat16" else "fp32"]
+    timed = {
         "weights": sum(p.numel() for n, p in model.named_parameters() if not n.startswith("intention_table.")),
         "batch": work.batch,
         "steps": work.steps,
-        "precision": str(work.dtype).removeprefix("torch."),
+        "precision": work.precision,
         "gflop_per_seq_step": round(gflop_per_seq_step, 4),
         "seq_steps_per_s": round(seq_steps / seconds, 1),
         "seq_steps_per_cpu_s": round(seq_steps / cpu_seconds, 1),
         "gflops": round(gflops, 1),
         "fraction_of_limit": round(gflops / limit, 3),
-        "peak_memory_mb": peak_memory_mb(place),
     }
-    tell(f"train {name}: {told['seq_steps_per_s']} sequence steps a second, {told['fraction_of_limit']:.0%} of the limit")
-    return told
+    peak = peak_memory_mb(device)
+    report(f"train {name}: {timed['seq_steps_per_s']} sequence steps a second, {timed['fraction_of_limit']:.0%} of the limit")
+    return timed if peak is None else timed | {"peak_memory_mb": peak}
 
 
-def timed_plans(name: str, place: torch.device, tell: Callable[[str], None], goals: int = 15) -> dict[str, Any]:
+def whole_training(demonstrations: list[Demonstration], device: torch.device, precision: Resolved, report: Report) -> dict[str, Any]:
+    """Minutes of the training that made the bundled model, extrapolated from some updates of it on other demonstrations."""
+    folder, seconds = find_run(TASK), []
+    settings = read_settings(TrainOptions, folder, "train")
+    stretch = replace(settings, updates=TIMED_UPDATES + 1, precision=precision)
+
+    def note(done: Progress) -> None:
+        seconds.append(done.seconds)
+
+    train(demonstrations, read_settings(ModelConfig, folder, "model"), config=stretch, progress=note, crew=Crew(device=device))
+    an_update = float(np.median(seconds[1:]))
+    minutes = round(settings.updates * an_update / 60, 1)
+    report(f"a whole training of {TASK}: {minutes} minutes, extrapolated from {TIMED_UPDATES} of its {settings.updates} updates")
+    timed = {"task": TASK, "precision": precision, "updates": settings.updates, "measured_updates": TIMED_UPDATES}
+    return timed | {"s_per_update": round(an_update, 3), "minutes_extrapolated": minutes}
+
+
+def timed_plans(demonstrations: list[Demonstration], device: torch.device, precision: Resolved, report: Report) -> dict[str, Any]:
     """Goals that a bundled model never saw: the first from nothing, then each from the request to the plan.
 
     A goal that is in doubt is searched for several times, so the median, the mean and the longest stand beside each other.
     """
-    demonstrations = record(Arm(), TASKS[name], count=goals, seed=TIMED_SEED)
     began = time.perf_counter()
-    model = load_model(name).to(place)
-    plan(model, start=demonstrations[0].first, goal=Percept(demonstrations[0].last.frame))
+    planner = load_planner(TASK, replace(PlanOptions.full(), precision=precision), device=device)
+    first = {"start": demonstrations[0].first, "goal": Percept(demonstrations[0].last.frame)}
+    planner.plan(**first)
     cold_s = time.perf_counter() - began
-    library = imagine_library(model)
-    plans = [plan(model, start=one.first, goal=Percept(one.last.frame), library=library) for one in demonstrations]
+    plans = [planner.plan(start=one.first, goal=Percept(one.last.frame)) for one in demonstrations]
     seconds = np.array([one.seconds for one in plans])
-    first = {"start": demonstrations[0].first, "goal": Percept(demonstrations[0].last.frame), "library": library}
-    without, to_the_end = (plan(model, **first, config=config) for config in (UNSEARCHED, TO_THE_END))
-    told = {
+    searches = (replace(each, precision=precision) for each in (UNSEARCHED, TO_THE_END))
+    without, to_the_end = (Planner(planner.model, planner.memory, each).plan(**first) for each in searches)
+    timed = {
+        "precision": precision,
         "cold_s": round(cold_s, 3),
         "warm_s": round(float(np.median(seconds)), 3),
         "warm_s_mean": round(float(seconds.mean()), 3),
         "warm_s_longest": round(float(seconds.max()), 3),
         "ms_per_iteration": round(1000 * (to_the_end.seconds - without.seconds) / (len(to_the_end.errors) - 1), 1),
-        "goals": goals,
+        "goals": len(demonstrations),
         "seed": TIMED_SEED,
     }
-    tell(f"plan {name}: {told['warm_s']} s (median; mean {told['warm_s_mean']} s), from nothing {told['cold_s']} s")
-    return told
+    said = f"{timed['warm_s']} s (median; mean {timed['warm_s_mean']} s), from nothing {timed['cold_s']} s"
+    report(f"plan {TASK} in {precision}: {said}")
+    return timed
 
 
-def timed_iterations(config: ModelConfig, sensors: Sensors, place: torch.device, *, steps: int, iterations: int = 4) -> dict[str, Any]:
+def timed_iterations(
+    config: ModelConfig, sensors: Sensors, device: torch.device, precision: Resolved, *, steps: int, iterations: int = 3
+) -> dict[str, Any]:
     """Error regression by the gradient through time, the paper's way, of one intention over so many steps, without the plan around it."""
-    search = PlanConfig(method="descend", candidates=1, guesses=1, iterations=iterations, enough=0.0, horizon=steps)
-    around = seconds_of_plan(config, sensors, place, replace(search, iterations=0))
-    seconds = seconds_of_plan(config, sensors, place, search) - around
-    return {"ms_per_iteration": round(1000 * seconds / iterations, 2), "horizon": steps, "candidates": 1}
+    search = PlanConfig(candidates=1, iterations=iterations, horizon=steps, precision=precision)
+    around = seconds_of_plan(config, sensors, device, replace(search, iterations=0))
+    seconds = seconds_of_plan(config, sensors, device, search) - around
+    timed = {"precision": precision, "horizon": steps, "candidates": 1}
+    return timed | {"ms_per_iteration": round(1000 * seconds / iterations, 2)}
 
 
-def seconds_of_plan(config: ModelConfig, sensors: Sensors, place: torch.device, search: PlanConfig) -> float:
+def seconds_of_plan(config: ModelConfig, sensors: Sensors, device: torch.device, search: PlanConfig) -> float:
     """A plan to a frame of noise by a network that learned nothing, which takes as long as one that did."""
-    model = PDVMRNN(config, sensors, 16).to(place).requires_grad_(False)
+    model = PDVMRNN(config, sensors, 16).to(device).requires_grad_(False)
     frame = np.random.default_rng(0).integers(0, 255, (sensors.height, sensors.width, sensors.channels)).astype(np.uint8)
-    library = imagine_library(model, config=search)
-    return min(plan(model, goal=Percept(frame), config=search, library=library).seconds for _ in range(REPEATS))
+    return min(repeated(lambda: plan(model, goal=Percept(frame), config=search).seconds))
 
 
-def growth(place: torch.device, tell: Callable[[str], None]) -> dict[str, dict[str, float]]:
+def growth(device: torch.device, precision: Resolved, report: Report) -> dict[str, dict[str, float]]:
     """Seconds of one iteration of a plan as horizon and candidates grow, and of a training update as batch and frames do."""
     small = ModelConfig.small()
+    one_iteration = PlanConfig(iterations=1, precision=precision)
 
     def planning(horizon: int = 16, candidates: int = 2) -> float:
-        return seconds_of_plan(small, ARM, place, PlanConfig(iterations=1, enough=0.0, horizon=horizon, candidates=candidates, guesses=1))
+        return seconds_of_plan(small, ARM, device, replace(one_iteration, horizon=horizon, candidates=candidates))
 
     def training(batch: int = 10, size: int = 64) -> float:
-        _, once = update_of(Work(small, replace(ARM, height=size, width=size), batch=batch), place)
-        return fastest(once, place, REPEATS)[0]
+        _, once = update_of(Work(small, replace(ARM, height=size, width=size), batch=batch, precision=precision), device)
+        return fastest(once, device)[0]
 
     grown = {
         "horizon": {str(n): round(planning(horizon=n), 4) for n in (8, 16, 32, 64)},
@@ -220,12 +317,17 @@ def growth(place: torch.device, tell: Callable[[str], None]) -> dict[str, dict[s
         "pixels": {str(n * n): round(training(size=n), 4) for n in (32, 64, 128)},
     }
     for name, seconds in grown.items():
-        tell(f"growth with {name}: {', '.join(f'{n}: {s:.2f} s' for n, s in seconds.items())}")
+        report(f"growth with {name}: {', '.join(f'{n}: {s:.2f} s' for n, s in seconds.items())}")
     return grown
 
 
-def peak_memory_mb(place: torch.device) -> float:
-    """The most memory this process, or its device, has held."""
-    if place.type == "cuda":
-        return round(torch.cuda.max_memory_allocated(place) / 2**20, 1)
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
+def peak_memory_mb(device: torch.device) -> float | None:
+    """The most memory this process, or its device, has held; None where the system does not say (Windows)."""
+    if device.type == "cuda":
+        return round(torch.cuda.max_memory_allocated(device) / 2**20, 1)
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    unit = 2**20 if sys.platform == "darwin" else 2**10  # bytes there, kilobytes elsewhere (getrusage(2))
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit, 1)

@@ -11,22 +11,20 @@ the prior mean.
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from preimage.compute.processes import Crew
 from preimage.data.sequences import at_rate
+from preimage.evaluation.loops import Loop
 from preimage.method.config import Modalities
 from preimage.presets import Planner
 from preimage.records import Demonstration, Percept, Plan, Shown, Trial
 from preimage.robot import Arm, Task, record, succeeds_within
 from preimage.robot.execution import execute, execute_open_loop, play
 
-Loop = Literal["closed", "open", "recorded"]
-"""closed: the plan is executed blind; open: the next joints are predicted from what the robot senses; recorded: from what was recorded
-when the tutor showed the way to the same goal (the other reading of the paper's one-step prediction)."""
 PIXEL_M = 0.013
 """A pixel of the paper's camera (m)."""
 Policies = Mapping[str, Callable[[Percept], Callable[[Percept], Float[np.ndarray, " J"]]]]

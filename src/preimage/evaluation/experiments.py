@@ -19,7 +19,8 @@ from preimage.compute.devices import CPU
 from preimage.compute.processes import Crew
 from preimage.data.dataset import fingerprint, load, save
 from preimage.evaluation.behaviour_cloning import clone
-from preimage.evaluation.evaluate import Loop, evaluate, result_of
+from preimage.evaluation.evaluate import evaluate, result_of
+from preimage.evaluation.loops import Loop
 from preimage.evaluation.recipes import MODALITIES_SEED, RECOGNITION_SEED, TEST_GOALS, TEST_SEED, Cell, learning_of, network_of, paper_of
 from preimage.method.train import Progress
 from preimage.network.config import ModelConfig

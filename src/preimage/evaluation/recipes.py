@@ -7,7 +7,7 @@ Demonstrations are recorded with seed 0; a cell of n uses the first n of them. I
 from dataclasses import dataclass, replace
 from typing import Any
 
-from preimage.evaluation.evaluate import Loop
+from preimage.evaluation.loops import Loop
 from preimage.network.config import ModelConfig
 from preimage.presets import Preset, TrainOptions, network_config
 from preimage.robot import TASKS, Task, with_frames

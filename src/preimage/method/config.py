@@ -67,6 +67,8 @@ class PlanConfig:
     """The modalities of the goal that are used; the rest of a goal percept is not looked at."""
     candidates: int = 8
     """Intentions regressed side by side, each from its own initial guess; the best is the plan's."""
+    initial_deviation: float = 0.2
+    """Standard deviation of a random initial guess, in those of the training intentions: from the middle all of them are near."""
     iterations: int = 100
     """Iterations at the most."""
     learning_rate: float = 0.05
@@ -86,7 +88,7 @@ class PlanConfig:
 
     def __post_init__(self) -> None:
         at_least = {"candidates": 1, "horizon": 1, "dimensions": 1, "iterations": 0, "intention_cost": 0, "seed": 0}
-        validate(self, at_least=at_least, above_zero=("learning_rate", "delay_penalty"))
+        validate(self, at_least=at_least | {"initial_deviation": 0}, above_zero=("learning_rate", "delay_penalty"))
         if self.modalities not in ("vision", "joints", "both"):
             raise ValueError(f"modalities is {self.modalities}: give vision, joints or both")
 

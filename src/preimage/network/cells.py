@@ -1,7 +1,7 @@
-"""What one time step is made of: the LSTM cells, and the ties between layers.
+"""The parts of one time step: the LSTM cells, and the connections between layers.
 
-A cell, like the `network.linear` it is made of, is first taken `at` a precision, for the steps of one sequence, and then called at each of
-them:
+A cell, like the layers of `network.linear` that it is made of, is first prepared by `at` in a precision, for the steps of one sequence,
+and then called at each of them:
 
 >>> import torch
 >>> cell = LSTM(inputs=3, units=5)
@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from preimage.network.linear import Conv, Linear, Map, Step, Tape, prepared, room
+from preimage.network.linear import Conv, Layer, Linear, Step, Tape, empty, prepared
 
 State = tuple[Tensor, Tensor]
 """Hidden state h and cell state c of one layer, each (B, units) or (B, channels, height, width)."""
@@ -28,62 +28,62 @@ CellFunction = Callable[[Sequence[Tensor], State], State]
 
 
 class CellStep(torch.autograd.Function):
-    """One step of an LSTM: its inputs side by side through a layer to the gates, and through these to the new state.
+    """One step of an LSTM: from the concatenated inputs through a layer to the gates, and through these to the new state.
 
     The gates are input, forget, output and candidate, stacked along dimension 1: c' = f c + i g and h' = o tanh(c'), with i, f, o
     sigmoids and g a tanh of them. The cell state keeps its own precision; the hidden state comes in that of the layer.
     """
 
     @staticmethod
-    def forward(ctx: Any, cell: Tensor, weight: Tensor, bias: Tensor, layer: Map, tape: Tape | None, *inputs: Tensor) -> State:
-        entered, ctx.number = tape.enter(inputs) if tape else (torch.cat(inputs, dim=1), 0)
-        gates = layer.value(entered, weight, bias, tape and tape.packed)
-        opened = opened_gates(gates, cell.dtype)
-        admit, keep, show, candidate = opened.movedim(-1, 2)
-        new_cell = torch.addcmul(keep * cell, admit, candidate)
-        squashed = new_cell.tanh() if new_cell.is_cuda else (2 * new_cell).sigmoid_().mul_(2).sub_(1)
+    def forward(ctx: Any, cell: Tensor, weight: Tensor, bias: Tensor, layer: Layer, tape: Tape | None, *inputs: Tensor) -> State:
+        joined, ctx.number = tape.record(inputs) if tape else (torch.cat(inputs, dim=1), 0)
+        gates = layer.value(joined, weight, bias, tape and tape.packed)
+        activated = activated_gates(gates, cell.dtype)
+        input_gate, forget_gate, output_gate, candidate = activated.movedim(-1, 2)
+        new_cell = torch.addcmul(forget_gate * cell, input_gate, candidate)
+        tanh_cell = new_cell.tanh() if new_cell.is_cuda else (2 * new_cell).sigmoid_().mul_(2).sub_(1)
         ctx.layer, ctx.tape, ctx.channels = layer, tape, [part.shape[1] for part in inputs]
-        ctx.save_for_backward(weight, opened, cell, squashed, *(() if tape else (entered,)))
-        return (show * squashed).to(gates.dtype), new_cell
+        ctx.save_for_backward(weight, activated, cell, tanh_cell, *(() if tape else (joined,)))
+        return (output_gate * tanh_cell).to(gates.dtype), new_cell
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, of_hidden: Tensor, of_cell: Tensor) -> tuple[Tensor | None, ...]:
-        weight, opened, cell, squashed, *kept = ctx.saved_tensors
-        admit, keep, show, candidate = opened.movedim(-1, 2)
-        of_hidden = of_hidden.to(cell.dtype)
-        # Into a tensor that lies as the others do: the first to come back are zeros that lie otherwise, and all would follow them.
-        of_cell = torch.ops.aten.tanh_backward(of_hidden * show, squashed).add_(of_cell)
-        back = torch.empty_like(opened)
+    def backward(ctx: Any, grad_hidden: Tensor, grad_cell: Tensor) -> tuple[Tensor | None, ...]:
+        weight, activated, cell, tanh_cell, *saved = ctx.saved_tensors
+        input_gate, forget_gate, output_gate, candidate = activated.movedim(-1, 2)
+        grad_hidden = grad_hidden.to(cell.dtype)
+        # Into a tensor of the usual memory layout: the first gradients are zeros of another, which all later ones would inherit.
+        grad_cell = torch.ops.aten.tanh_backward(grad_hidden * output_gate, tanh_cell).add_(grad_cell)
+        back = torch.empty_like(activated)
         gates = back.movedim(-1, 2)
-        torch.mul(of_cell, candidate, out=gates[0])
-        torch.mul(of_cell, cell, out=gates[1])
-        torch.mul(of_hidden, squashed, out=gates[2])
-        torch.mul(of_cell, admit, out=gates[3])
-        torch.ops.aten.sigmoid_backward(back[:3], opened[:3], grad_input=back[:3])
-        torch.ops.aten.tanh_backward(back[3], opened[3], grad_input=back[3])
-        (entered,) = kept or (ctx.tape.at(ctx.number),)
+        torch.mul(grad_cell, candidate, out=gates[0])
+        torch.mul(grad_cell, cell, out=gates[1])
+        torch.mul(grad_hidden, tanh_cell, out=gates[2])
+        torch.mul(grad_cell, input_gate, out=gates[3])
+        torch.ops.aten.sigmoid_backward(back[:3], activated[:3], grad_input=back[:3])
+        torch.ops.aten.tanh_backward(back[3], activated[3], grad_input=back[3])
+        (joined,) = saved or (ctx.tape.at(ctx.number),)
         shape = len(cell), 4 * cell.shape[1], *cell.shape[2:]
-        of_gates = ctx.tape.room_for(ctx.number, shape) if ctx.tape else room(shape, entered, ctx.layer.layout)
-        of_gates.movedim(1, -1).unflatten(-1, (4, -1)).movedim(-2, 0).copy_(back)
-        of_inputs = ctx.layer.input_gradient(of_gates, entered, weight, ctx.tape and ctx.tape.packed)
-        return of_cell * keep, None, None, None, None, *of_inputs.split(ctx.channels, dim=1)
+        grad_gates = ctx.tape.gradient_buffer(ctx.number, shape) if ctx.tape else empty(shape, joined, ctx.layer.layout)
+        grad_gates.movedim(1, -1).unflatten(-1, (4, -1)).movedim(-2, 0).copy_(back)
+        grad_inputs = ctx.layer.input_gradient(grad_gates, joined, weight, ctx.tape and ctx.tape.packed)
+        return grad_cell * forget_gate, None, None, None, None, *grad_inputs.split(ctx.channels, dim=1)
 
 
-def opened_gates(gates: Tensor, dtype: torch.dtype) -> Tensor:
+def activated_gates(gates: Tensor, dtype: torch.dtype) -> Tensor:
     """Sigmoids of input, forget and output gate and the tanh of the candidate, (4, B, *size, units).
 
-    One block of memory per gate: with the gates side by side in every pixel each operation would stumble from pixel to pixel.
+    One contiguous block per gate: with the gates interleaved in every pixel each operation would be strided.
     """
     by_pixel = gates.movedim(1, -1)
     units = by_pixel.shape[-1] // 4
-    opened = torch.empty(4, *by_pixel.shape[:-1], units, dtype=dtype, device=gates.device)
-    opened.copy_(by_pixel.unflatten(-1, (4, units)).movedim(-2, 0))
-    open_gates(opened)
-    return opened
+    activated = torch.empty(4, *by_pixel.shape[:-1], units, dtype=dtype, device=gates.device)
+    activated.copy_(by_pixel.unflatten(-1, (4, units)).movedim(-2, 0))
+    activate_gates(activated)
+    return activated
 
 
-def open_gates(gates: Tensor) -> None:
+def activate_gates(gates: Tensor) -> None:
     """In place, a sigmoid of input, forget and output gate and a tanh of the candidate."""
     if gates.is_cuda:  # every call is a kernel
         gates[:3].sigmoid_()
@@ -94,8 +94,8 @@ def open_gates(gates: Tensor) -> None:
     gates[3].mul_(2).sub_(1)  # tanh x = 2 sigmoid 2x - 1, and a sigmoid is the faster of the two by far
 
 
-def remember_at_first(bias: Tensor) -> None:
-    """Start the forget gate open (bias 1), the others at 0, so that the intention survives the first steps of untrained weights."""
+def start_with_open_forget_gate(bias: Tensor) -> None:
+    """Forget-gate bias 1 at the start, all others 0, so that the intention survives the first steps of untrained weights."""
     with torch.no_grad():
         bias.zero_()
         bias[len(bias) // 4 : len(bias) // 2] = 1.0
@@ -107,7 +107,7 @@ class LSTM(nn.Module):
     def __init__(self, inputs: int, units: int) -> None:
         super().__init__()
         self.gates = Linear(inputs + units, 4 * units)
-        remember_at_first(self.gates.bias)
+        start_with_open_forget_gate(self.gates.bias)
 
     def at(self, dtype: torch.dtype, num_steps: int = 1) -> CellFunction:
         """The cell in this precision, for all steps of one sequence."""
@@ -121,14 +121,14 @@ class ConvLSTM(nn.Module):
         super().__init__()
         self.gates = Conv(inputs + channels, 4 * channels, kernel)
         assert self.gates.bias is not None
-        remember_at_first(self.gates.bias)
+        start_with_open_forget_gate(self.gates.bias)
 
     def at(self, dtype: torch.dtype, num_steps: int = 1) -> CellFunction:
         """The cell in this precision, for all steps of one sequence."""
         return cell_step(self.gates, dtype, num_steps)
 
 
-def cell_step(layer: Map, dtype: torch.dtype, num_steps: int) -> CellFunction:
+def cell_step(layer: Layer, dtype: torch.dtype, num_steps: int) -> CellFunction:
     weight, bias, tape = prepared(layer, dtype, num_steps)
 
     def step(inputs: Sequence[Tensor], state: State) -> State:
@@ -139,7 +139,7 @@ def cell_step(layer: Map, dtype: torch.dtype, num_steps: int) -> CellFunction:
 
 
 def space_to_depth(maps: Tensor) -> Tensor:
-    """(B, C, H, W) to (B, 4C, H/2, W/2): each 2x2 patch becomes one place; channels last in memory."""
+    """(B, C, H, W) to (B, 4C, H/2, W/2): each 2x2 patch becomes one pixel; channels last in memory."""
     batch, channels, height, width = maps.shape
     patches = maps.permute(0, 2, 3, 1).reshape(batch, height // 2, 2, width // 2, 2, channels).transpose(2, 3)
     return patches.reshape(batch, height // 2, width // 2, 4 * channels).permute(0, 3, 1, 2)  # (B, 4C, H/2, W/2)
@@ -153,25 +153,25 @@ def depth_to_space(maps: Tensor) -> Tensor:
 
 
 SHARPNESS = 10.0
-"""Factor on what a keypoint's map says, so that a network that begins to learn can point at a few pixels."""
+"""Factor on the logits of a keypoint's map, so that an untrained network can already point at a few pixels."""
 
 
-def expected_places(heat: Tensor) -> Tensor:
-    """The mean place under the softmax of each map, (B, height, width, K) to (B, 2 K): -1 at the left and upper edge, 1 at the others.
+def expected_positions(heat: Tensor) -> Tensor:
+    """The mean position under the softmax of each map, (B, height, width, K) to (B, 2 K): -1 at the left and upper edge, 1 at the others.
 
     >>> heat = torch.zeros(1, 3, 5, 1)
     >>> heat[0, 2, 1] = 100.0
-    >>> expected_places(heat).tolist()
+    >>> expected_positions(heat).tolist()
     [[-0.5, 1.0]]
     """
     weights = heat.flatten(1, 2).softmax(1).view_as(heat)
     of_columns, of_rows = weights.sum(1), weights.sum(2)  # (B, width, K), (B, height, K)
-    places = [torch.linspace(-1, 1, each.shape[1], dtype=heat.dtype, device=heat.device) @ each for each in (of_columns, of_rows)]
-    return torch.cat(places, dim=1)
+    positions = [torch.linspace(-1, 1, each.shape[1], dtype=heat.dtype, device=heat.device) @ each for each in (of_columns, of_rows)]
+    return torch.cat(positions, dim=1)
 
 
 class Lateral(nn.Module):
-    """The tie between the two paths at one level: a few feature maps on a coarse grid, and the places of keypoints."""
+    """The lateral connection of the two paths at one level: a few feature maps on a coarse grid, and the positions of keypoints."""
 
     def __init__(
         self, *, channels: int, units: int, size: tuple[int, int], grid: tuple[int, int], lateral: int, seen: int, keypoints: int
@@ -203,7 +203,7 @@ class Lateral(nn.Module):
             if point is None:
                 return features
             heat = SHARPNESS * point(hidden.permute(0, 2, 3, 1)).to(self.from_vision.weight.dtype)
-            return torch.cat([features, expected_places(heat).to(dtype)], dim=1)
+            return torch.cat([features, expected_positions(heat).to(dtype)], dim=1)
 
         return step
 

@@ -1,8 +1,8 @@
 """Joint angles as population codes, frames as pixels in [-1, 1].
 
-Each joint is spread over a few units, as the paper does (section II-A, "sparse encoding"): the angle is scaled to [-1, 1] between the
-joint's limits and every unit answers by a Gaussian of its distance to the angle, normalised by a softmax. Reading the code back is the
-mean of the centres under that distribution.
+Each joint is encoded by a few units, as in the paper (section II-A, "sparse encoding"): the angle is scaled to [-1, 1] between the
+joint's limits and every unit responds with a Gaussian of its distance to the angle, normalised by a softmax. Decoding takes the mean of
+the centres under that distribution.
 
 >>> import torch
 >>> coding = JointCoding(torch.tensor([-1.0, 0.0]), torch.tensor([1.0, 2.0]))
@@ -17,13 +17,13 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 SPAN = 1.25
-"""The centres span [-SPAN, SPAN], wider than the joints' [-1, 1]: at the rim of the centres the code would no longer read back."""
+"""The centres span [-SPAN, SPAN], wider than the joints' [-1, 1]: near the outermost centres decoding would no longer invert encoding."""
 WIDTH = 0.8
-"""Width of a unit's answer, in spacings of the centres."""
+"""Width of a unit's response, in spacings of the centres."""
 
 
 class JointCoding(nn.Module):
-    """Joint angles (rad) to population codes and back; the limits and centres ride with the weights.
+    """Joint angles (rad) to population codes and back; the limits and centres are saved with the weights.
 
     Args:
         lower: smallest angle of each joint (rad), code -1.
@@ -56,7 +56,7 @@ class JointCoding(nn.Module):
 
 
 def to_pixels(frames: UInt8[Tensor, "*batch H W C"]) -> Float[Tensor, "*batch C H W"]:
-    """8-bit frames as the network sees them: channels first, values in [-1, 1]."""
+    """8-bit frames as the network takes them: channels first, values in [-1, 1]."""
     return frames.movedim(-1, -3) / 127.5 - 1
 
 

@@ -37,7 +37,7 @@ class ModelConfig:
     intention_cost: float = 0.005
     """Charge while training for the information in an intention (a nat), or, where it is free, for its squared size."""
     intention_noise: float = 0.0
-    """Standard deviation of the noise on a free intention while training."""
+    """Standard deviation of the noise on a free intention while training, in those of the training intentions."""
     rate_hz: float = 2.5
     """Steps a second that the model runs at; recordings are brought to it, slower ones keep their rate."""
 

@@ -5,8 +5,8 @@ sequence, learned with the weights:
 
 * `FreeTable`, the paper's: every value of the chosen initial states is a number of its own.
 * `LatentTable`, the paper's outlook (section IV, variational Bayes): an intention is a few Gaussian numbers per sequence, each with a
-  mean and a deviation of its own, thrown linearly onto the chosen initial states. What a number tells is charged by its divergence
-  from a standard normal, so that the intention holds what cannot be seen at the start, and no more.
+  mean and a deviation of its own, projected linearly onto the chosen initial states. The information in a number
+  is charged by its divergence from a standard normal, so that the intention holds what cannot be seen at the start, and no more.
 
 Planning searches in an `IntentionSpace`: coordinates of about unit variance over the training intentions.
 
@@ -62,10 +62,13 @@ class IntentionSpace:
 
 
 class FreeTable(nn.Module):
-    """One free intention per training sequence, kept small by noise of a fixed deviation and a charge for its squared size.
+    """One free intention per training sequence, the paper's.
+
+    While training, noise is added that is distributed as the intentions themselves are: what lies between them is learned as well, and
+    directions in which they do not differ stay free of it.
 
     Args:
-        noise: standard deviation of the Gaussian noise while training.
+        noise: standard deviation of the noise, in those of the training intentions.
     """
 
     def __init__(self, shapes: Shapes, *, num_sequences: int, noise: float, generator: torch.Generator) -> None:
@@ -88,21 +91,23 @@ class FreeTable(nn.Module):
     def draw(self, rows: Tensor, generator: torch.Generator) -> tuple[IntentionState, Float[Tensor, " B"]]:
         """Intentions of some training sequences as training uses them, and the charge for each."""
         chosen = self.rows[rows]
-        noise = self.noise * torch.randn(chosen.shape, generator=generator).to(chosen)
+        drawn = torch.randn(len(rows), len(self.rows), generator=generator).to(chosen)
+        spread = (self.rows - self.rows.mean(0)).detach()
+        noise = self.noise / max(1, len(self.rows) - 1) ** 0.5 * drawn @ spread
         return unflatten(chosen + noise, self.shapes), chosen.square().sum(1)
 
     @torch.no_grad()
     def start_from(self, scores: Float[Tensor, "N K"], generator: torch.Generator) -> None:
-        """Alike sequences become neighbours: their scores, thrown onto the layers at random."""
-        self.rows.copy_(scores @ throw(scores.shape[1], self.rows.shape[1], generator))
+        """Alike sequences become neighbours: their scores, projected onto the layers at random."""
+        self.rows.copy_(scores @ projection(scores.shape[1], self.rows.shape[1], generator))
 
     def space(self, dimensions: int | None) -> IntentionSpace:
-        """The directions in which the training intentions differ most, in standard deviations; None: all values as they are."""
+        """The directions in which the training intentions differ most, in standard deviations; None: all in which they differ."""
         return space_of(self.rows.detach(), dimensions, lambda rows: unflatten(rows, self.shapes))
 
 
 class LatentTable(nn.Module):
-    """A few Gaussian numbers per training sequence, thrown linearly onto the initial states of the chosen layers.
+    """A few Gaussian numbers per training sequence, projected linearly onto the initial states of the chosen layers.
 
     Args:
         dimensions: how many numbers.
@@ -115,7 +120,7 @@ class LatentTable(nn.Module):
         size = sum(2 * torch.Size(shape).numel() for shape in shapes.values())
         self.mean = nn.Parameter(0.5 * torch.randn(num_sequences, dimensions, generator=generator))
         self.log_deviation = nn.Parameter(torch.full((num_sequences, dimensions), deviation).log())
-        self.onto_states = nn.Parameter(throw(dimensions, size, generator))
+        self.onto_states = nn.Parameter(projection(dimensions, size, generator))
 
     def __len__(self) -> int:
         return len(self.mean)
@@ -142,7 +147,7 @@ class LatentTable(nn.Module):
         self.mean[:, :kept] = scores[:, :kept]
 
     def space(self, dimensions: int | None) -> IntentionSpace:
-        """The directions in which the training intentions differ most, in standard deviations; None: the numbers as they are."""
+        """The directions in which the training intentions differ most, in standard deviations; None: all in which they differ."""
         return space_of(self.mean.detach(), dimensions, lambda numbers: unflatten(numbers @ self.onto_states.detach(), self.shapes))
 
     def _onto(self, numbers: Float[Tensor, "B K"]) -> IntentionState:
@@ -155,19 +160,19 @@ IntentionTable = FreeTable | LatentTable
 def space_of(
     rows: Float[Tensor, "N D"], dimensions: int | None, intention_of: Callable[[Float[Tensor, "B D"]], IntentionState]
 ) -> IntentionSpace:
-    """The space whose coordinates are principal components of the rows, each of unit variance over them; None: the rows as they are.
+    """The space whose coordinates are principal components of the rows, each of unit variance over them; None: all of them.
 
-    So it is too where there is one row, for that spans no space of its own.
+    Of a single row, which spans no space of its own, it is the values as they are.
     """
-    if dimensions is None or len(rows) < 2:
+    if len(rows) < 2:
         return IntentionSpace(rows, intention_of)
     mean = rows.mean(0)
     left, sizes, directions = torch.linalg.svd(rows - mean, full_matrices=False)
-    kept, freedom = min(dimensions, len(rows) - 1, rows.shape[1]), (len(rows) - 1) ** 0.5
+    kept, freedom = min(dimensions or len(rows), len(rows) - 1, rows.shape[1]), (len(rows) - 1) ** 0.5
     scaled = sizes[:kept, None] / freedom * directions[:kept]  # (K, D)
     return IntentionSpace(left[:, :kept] * freedom, lambda coordinates: intention_of(mean + coordinates @ scaled))
 
 
-def throw(dimensions: int, size: int, generator: torch.Generator, deviation: float = 0.5) -> Float[Tensor, "K D"]:
+def projection(dimensions: int, size: int, generator: torch.Generator, deviation: float = 0.5) -> Float[Tensor, "K D"]:
     """A random linear map under which unit scores become values of about this deviation."""
     return torch.randn(dimensions, size, generator=generator) * deviation / dimensions**0.5

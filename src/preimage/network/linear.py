@@ -1,11 +1,11 @@
-"""Linear maps that are used at every step of a sequence, and whose weights learn from all steps at once.
+"""Linear layers that are applied at every step of a sequence, with one weight gradient for all steps.
 
 An unrolled network applies the same weights at every step of a sequence. Summing the weights' gradient step by step costs a small
-matrix product each time; here each map writes what goes in and what comes back side by side on a tape, and its gradient is one large
-product over all steps when the last of them has been gone back through. That is the same sum in another order, exact in float64,
-more accurate in bfloat16 (one accumulation in float32), and faster.
+matrix product each time; here each layer records its inputs and output gradients side by side on a tape, and its weight gradient is one
+large product over all steps, taken when the backward pass has reached the first of them. That is the same sum in another order, exact
+in float64, more accurate in bfloat16 (one accumulation in float32), and faster.
 
-A map is first taken `at` a precision, for the steps of one sequence, and then called at each of them:
+A layer is first prepared by `at` in a precision, for the steps of one sequence, and then called at each of them:
 
 >>> import torch
 >>> step = Linear(3, 5).at(torch.float32, num_steps=2)
@@ -27,17 +27,17 @@ from preimage.compute.precision import computes_bfloat16
 
 Step = Callable[[Tensor], Tensor]
 Packed = tuple[Tensor, Tensor] | None
-"""A matrix and its transpose in the order in which a CPU multiplies them, where it pays."""
+"""A matrix and its transpose, reordered for the CPU's matrix product, where that pays."""
 LARGE = 2**20
-"""Weights from which on a matrix is packed."""
+"""A matrix of at least so many weights is packed."""
 
 
 class Tape:
-    """What entered a map at each step, and the gradient that came back to its output, side by side as one large batch.
+    """A layer's input and output gradient of every step, side by side as one large batch.
 
     Args:
         num_steps: how many steps are to come, at most.
-        layout: how batches lie in memory.
+        layout: memory format of the batches.
     """
 
     def __init__(self, num_steps: int, layout: torch.memory_format) -> None:
@@ -46,67 +46,67 @@ class Tape:
         self.clear()
 
     def clear(self) -> None:
-        """Give the memory back."""
-        self.entered: Tensor | None = None
-        self.returned: Tensor | None = None
-        self.num_entered = 0
-        self.steps_returned: set[int] = set()
+        """Free the memory."""
+        self.inputs: Tensor | None = None
+        self.gradients: Tensor | None = None
+        self.num_recorded = 0
+        self.steps_with_gradient: set[int] = set()
 
-    def enter(self, parts: Sequence[Tensor]) -> tuple[Tensor, int]:
-        """The parts joined along dimension 1, which is the input of a new step, and the number of that step."""
-        number, self.num_entered = self.num_entered, self.num_entered + 1
-        if self.entered is None:
+    def record(self, parts: Sequence[Tensor]) -> tuple[Tensor, int]:
+        """The input of a new step, which is the parts concatenated along dimension 1, and the number of that step."""
+        number, self.num_recorded = self.num_recorded, self.num_recorded + 1
+        if self.inputs is None:
             batch, _, *size = parts[0].shape
-            self.entered = self._room((batch, sum(part.shape[1] for part in parts), *size), parts[0])
+            self.inputs = self._empty((batch, sum(part.shape[1] for part in parts), *size), parts[0])
         return torch.cat(list(parts), dim=1, out=self.at(number)), number
 
     def at(self, number: int) -> Tensor:
-        """What entered at a step."""
-        assert self.entered is not None
-        return self._step(self.entered, number)
+        """The input of a step."""
+        assert self.inputs is not None
+        return self._step(self.inputs, number)
 
-    def room_for(self, number: int, shape: Sequence[int]) -> Tensor:
-        """Where the gradient that comes back to the output of a step, which is of this shape, is to be written."""
-        if self.returned is None:
-            assert self.entered is not None
-            self.returned = self._room(shape, self.entered)
-        self.steps_returned.add(number)
-        return self._step(self.returned, number)
+    def gradient_buffer(self, number: int, shape: Sequence[int]) -> Tensor:
+        """The buffer, of this shape, for the output gradient of a step."""
+        if self.gradients is None:
+            assert self.inputs is not None
+            self.gradients = self._empty(shape, self.inputs)
+        self.steps_with_gradient.add(number)
+        return self._step(self.gradients, number)
 
     def whole(self) -> tuple[Tensor, Tensor] | None:
-        """All inputs and all gradients, (steps * B, ...); a step to which nothing came back counts as zero."""
-        if self.entered is None or self.returned is None:
+        """All inputs and all gradients, (steps * B, ...); steps without a gradient count as zero."""
+        if self.inputs is None or self.gradients is None:
             return None
-        rows = self.num_entered * (len(self.entered) // self.num_steps)
-        for number in set(range(self.num_entered)) - self.steps_returned:
-            self._step(self.returned, number).zero_()
-        return self.entered[:rows], self.returned[:rows]
+        rows = self.num_recorded * (len(self.inputs) // self.num_steps)
+        for number in set(range(self.num_recorded)) - self.steps_with_gradient:
+            self._step(self.gradients, number).zero_()
+        return self.inputs[:rows], self.gradients[:rows]
 
     def _step(self, steps: Tensor, number: int) -> Tensor:
         return steps.unflatten(0, (self.num_steps, -1))[number]
 
-    def _room(self, shape: Sequence[int], like: Tensor) -> Tensor:
-        return room((self.num_steps * shape[0], *shape[1:]), like, self.layout)
+    def _empty(self, shape: Sequence[int], like: Tensor) -> Tensor:
+        return empty((self.num_steps * shape[0], *shape[1:]), like, self.layout)
 
 
-def room(shape: Sequence[int], like: Tensor, layout: torch.memory_format) -> Tensor:
-    """A tensor to be written into, of the precision and in the place of another."""
+def empty(shape: Sequence[int], like: Tensor, layout: torch.memory_format) -> Tensor:
+    """An uninitialised tensor with the dtype and on the device of another."""
     return torch.empty(shape, dtype=like.dtype, device=like.device, memory_format=layout)
 
 
 class Linear(nn.Linear):
-    """A fully connected map over the last dimension."""
+    """A fully connected layer over the last dimension."""
 
     layout = torch.contiguous_format
 
     def at(self, dtype: torch.dtype, num_steps: int = 1) -> Step:
-        """The map in this precision, for all steps of one sequence."""
+        """The layer in this precision, for all steps of one sequence."""
         return stepwise(self, dtype, num_steps)
 
     def pack(self, weight: Tensor) -> Packed:
-        """The weights in the order in which they are multiplied, once for all steps: few rows take less time than the ordering."""
+        """The weights reordered once for all steps: a product of few rows takes less time than reordering."""
         suits = weight.dtype == torch.bfloat16 and weight.device.type == "cpu" and weight.numel() >= LARGE
-        # torch's own compiler is who calls these otherwise, so that a later torch may not have them.
+        # Private operators of torch's compiler, which a later torch may not have.
         if not suits or not hasattr(torch.ops.mkldnn, "_reorder_linear_weight") or not computes_bfloat16(weight.device):
             return None
         order = torch.ops.mkldnn._reorder_linear_weight
@@ -137,7 +137,7 @@ class Conv(nn.Conv2d):
         self.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
     def at(self, dtype: torch.dtype, num_steps: int = 1) -> Step:
-        """The map in this precision, for all steps of one sequence."""
+        """The layer in this precision, for all steps of one sequence."""
         return stepwise(self, dtype, num_steps)
 
     def pack(self, weight: Tensor) -> Packed:
@@ -158,10 +158,10 @@ class Conv(nn.Conv2d):
         return torch.ops.aten.convolution_backward(gradient, inputs, weight, [len(weight)], *geometry, wanted)
 
 
-Map = Linear | Conv
+Layer = Linear | Conv
 
 
-def prepared(layer: Map, dtype: torch.dtype, num_steps: int) -> tuple[Tensor, Tensor, Tape | None]:
+def prepared(layer: Layer, dtype: torch.dtype, num_steps: int) -> tuple[Tensor, Tensor, Tape | None]:
     """Weight and bias in this precision, for all steps of one sequence, and the tape for their gradients; none for frozen weights."""
     assert layer.bias is not None
     if not (torch.is_grad_enabled() and layer.weight.requires_grad):
@@ -172,19 +172,19 @@ def prepared(layer: Map, dtype: torch.dtype, num_steps: int) -> tuple[Tensor, Te
     return weight, bias, tape
 
 
-def stepwise(layer: Map, dtype: torch.dtype, num_steps: int) -> Step:
+def stepwise(layer: Layer, dtype: torch.dtype, num_steps: int) -> Step:
     """The layer in this precision as a function of one step's input."""
     weight, bias, tape = prepared(layer, dtype, num_steps)
     if tape is None:
         return lambda inputs: layer.value(inputs, weight, bias)
-    return lambda inputs: MapStep.apply(inputs, weight, bias, layer, tape)  # pyright: ignore[reportReturnType]
+    return lambda inputs: LayerStep.apply(inputs, weight, bias, layer, tape)  # pyright: ignore[reportReturnType]
 
 
 class Weights(torch.autograd.Function):
     """A layer's weight and bias in another precision. Its backward comes last, when the tape holds every step."""
 
     @staticmethod
-    def forward(ctx: Any, weight: Tensor, bias: Tensor, layer: Map, dtype: torch.dtype, tape: Tape) -> tuple[Tensor, Tensor]:
+    def forward(ctx: Any, weight: Tensor, bias: Tensor, layer: Layer, dtype: torch.dtype, tape: Tape) -> tuple[Tensor, Tensor]:
         ctx.layer, ctx.tape = layer, tape
         ctx.set_materialize_grads(False)
         narrow = weight.to(dtype, copy=True)
@@ -202,20 +202,21 @@ class Weights(torch.autograd.Function):
         return of_weight.to(ctx.layer.weight.dtype), of_bias.to(ctx.layer.bias.dtype), None, None, None
 
 
-class MapStep(torch.autograd.Function):
+class LayerStep(torch.autograd.Function):
     """One step of a layer. Its backward gives the input's gradient and leaves the weight's to `Weights`."""
 
     @staticmethod
-    def forward(ctx: Any, inputs: Tensor, weight: Tensor, bias: Tensor, layer: Map, tape: Tape) -> Tensor:
-        entered, ctx.number = tape.enter([inputs])
+    def forward(ctx: Any, inputs: Tensor, weight: Tensor, bias: Tensor, layer: Layer, tape: Tape) -> Tensor:
+        taped, ctx.number = tape.record([inputs])
         ctx.layer, ctx.tape = layer, tape
         ctx.save_for_backward(weight)
-        return layer.value(entered, weight, bias, tape.packed)
+        return layer.value(taped, weight, bias, tape.packed)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         (weight,) = ctx.saved_tensors
-        returned = ctx.tape.room_for(ctx.number, gradient.shape).copy_(gradient)
-        back = ctx.layer.input_gradient(returned, ctx.tape.at(ctx.number), weight, ctx.tape.packed) if ctx.needs_input_grad[0] else None
-        return back, None, None, None, None
+        taped = ctx.tape.gradient_buffer(ctx.number, gradient.shape).copy_(gradient)
+        if not ctx.needs_input_grad[0]:
+            return None, None, None, None, None
+        return ctx.layer.input_gradient(taped, ctx.tape.at(ctx.number), weight, ctx.tape.packed), None, None, None, None

@@ -169,7 +169,8 @@ def speed_table(found: Results) -> str:
         device = f"cpu, threads: {one['threads']}" if one.get("device") == "cpu" else one.get("device", "")
         for name, work in one.get("train", {}).items() if "limit_gflops" in one else ():
             share = f"{work['fraction_of_limit']:.0%}"
-            told, memory = f"{work['seq_steps_per_s']} sequence steps/s", f"{work['peak_memory_mb']:.0f} MB"
+            memory = f"{work['peak_memory_mb']:.0f} MB" if "peak_memory_mb" in work else ""
+            told = f"{work['seq_steps_per_s']} sequence steps/s"
             rows.append([device, f"train {name}", told, share, memory])
         for name, work in one.get("plan", {}).items() if "limit_gflops" in one else ():
             told = f"{work['ms_per_iteration']} ms an iteration"
@@ -177,7 +178,21 @@ def speed_table(found: Results) -> str:
                 spread = f"mean {work['warm_s_mean']}, longest {work['warm_s_longest']}"
                 told = f"{work['warm_s']} s warm ({spread}), {work['cold_s']} s cold, {told}"
             rows.append([device, f"plan {name}", told, "", ""])
+        rows += [[device, work, told, "", ""] for work, told in other_speeds(one).items()]
     return table("Speed", ["device", "work", "measured", "share of the machine's limit", "memory"], rows)
+
+
+def other_speeds(one: Mapping[str, Any]) -> dict[str, str]:
+    """What a bench says of a whole training and of starting."""
+    speeds: dict[str, str] = {}
+    if "whole_training" in one:
+        whole = one["whole_training"]
+        of_updates = f"extrapolated from {whole['measured_updates']} of {whole['updates']} updates"
+        speeds[f"train {whole['task']}, whole"] = f"{whole['minutes_extrapolated']} minutes ({of_updates}), {whole['precision']}"
+    if "start_up" in one:
+        start_up = one["start_up"]
+        speeds["start"] = f"import {start_up['import_s']} s, all names {start_up['import_all_s']} s, --help {start_up['help_s']} s"
+    return speeds
 
 
 def cells_table(evaluations: Results) -> str:

@@ -31,11 +31,9 @@ from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Body, Demonstration, Shown, number_of
 from preimage.storage import hub
 from preimage.storage.atomic_write import whole_file, write_json
+from preimage.storage.bundled import BUNDLED
 
 Record = TypeVar("Record")
-
-BUNDLED = ("reach", "two-points", "move-object")
-"""Names that stand for the models that come with the program."""
 
 
 def find_run(name: str | Path) -> Path:

@@ -1,0 +1,119 @@
+"""Convolution kernels on flat channels: the nine taps of a 3x3 kernel are nine constant offsets, if every row ends in a zero.
+
+Only what takes long is here. Sums stay in registers: `correlate` sums a tile, two SIMD vectors (`fast.simd`) of four channels, over all
+inputs and taps before writing it; `products` sums the 27 products that the weight gradients of three channels need.
+
+numba caches compiled code by the age of the file that starts the compilation, `fast.compiled`: touch that one after a change here.
+
+>>> import numpy as np
+>>> pixels, result, weights = np.ones(3 * TILE, np.float32), np.zeros(2 * TILE, np.float32), np.full(9, 0.5, np.float32)
+>>> correlate(pixels, TILE, 1, result, 0, 1, TILE, 5, weights, 0, TILE)
+>>> float(result[0])
+4.5
+"""
+
+# pyright: reportCallIssue=false
+# An intrinsic is called with other arguments than it is declared with.
+
+from typing import Any
+
+from numba import njit
+
+from preimage.fast.simd import VECTOR_SIZE, broadcast, horizontal_sum, load, multiply_add, store
+
+
+def can_cache() -> bool:
+    """Whether compiled code can be cached on disk, beside this file or in the user's cache folder."""
+    try:
+        njit(cache=True)(can_cache)
+    except RuntimeError:
+        return False
+    return True
+
+
+OPTIONS: dict[str, Any] = {"fastmath": True, "nogil": True, "cache": can_cache(), "error_model": "numpy"}
+"""numpy's error model: Python's would check every division for a zero, one number at a time."""
+TILE = 2 * VECTOR_SIZE
+"""Numbers of a channel that a convolution sums at once; the length of a channel is a multiple of it."""
+
+
+@njit(**OPTIONS)
+def correlate(x, source, inputs, y, target, outputs, size, row, weights, first, spare):
+    """Add a 3x3 correlation to the channels of y, a tile of four at a time; sums beyond the last channel go to the spare tile."""
+    step = 9 * inputs
+    for p in range(0, size, TILE):
+        for n in range(0, outputs, 4):
+            at, w, left = target + n * size + p, first + n * step, outputs - 1 - n
+            a, b, c = at + size if left > 0 else spare, at + 2 * size if left > 1 else spare, at + 3 * size if left > 2 else spare
+            u, v, z = w + min(1, left) * step, w + min(2, left) * step, w + min(3, left) * step
+            add_tile(x, source + p, inputs, size, row, y, at, a, b, c, weights, w, u, v, z)
+
+
+@njit(**OPTIONS)
+def add_tile(x, source, inputs, size, row, y, a, b, c, d, weights, u, v, w, z):
+    """Two vectors of four channels, which begin at a, b, c and d, with weights that begin at u, v, w and z: all sums stay in registers."""
+    sums_a, sums_b, sums_c, sums_d = load_two(y, a), load_two(y, b), load_two(y, c), load_two(y, d)
+    tap = 0
+    for i in range(inputs):
+        for line in range(-1, 2):
+            for column in range(-1, 2):
+                taps = load_two(x, source + i * size + line * row + column)
+                sums_a, sums_b = multiply_add_two(sums_a, weights[u + tap], taps), multiply_add_two(sums_b, weights[v + tap], taps)
+                sums_c, sums_d = multiply_add_two(sums_c, weights[w + tap], taps), multiply_add_two(sums_d, weights[z + tap], taps)
+                tap += 1
+    store_two(y, a, sums_a)
+    store_two(y, b, sums_b)
+    store_two(y, c, sums_c)
+    store_two(y, d, sums_d)
+
+
+@njit(**OPTIONS)
+def load_two(numbers, first):
+    return load(numbers, first), load(numbers, first + VECTOR_SIZE)
+
+
+@njit(**OPTIONS)
+def store_two(numbers, first, two):
+    store(numbers, first, two[0])
+    store(numbers, first + VECTOR_SIZE, two[1])
+
+
+@njit(**OPTIONS)
+def multiply_add_two(sums, weight, two):
+    weight = broadcast(weight)
+    return multiply_add(sums[0], weight, two[0]), multiply_add(sums[1], weight, two[1])
+
+
+@njit(**OPTIONS)
+def products(x, source, length, row, grad_y, a, b, c):
+    """Of the nine taps around each place of x with the gradients of three channels, which begin at a, b and c."""
+    zero = broadcast(x.dtype.type(0))
+    u = v = w = (zero, zero, zero, zero, zero, zero, zero, zero, zero)
+    for p in range(0, length, VECTOR_SIZE):
+        taps = nine_taps(x, source + p, row)
+        u = multiply_add_nine(u, load(grad_y, a + p), taps)
+        v = multiply_add_nine(v, load(grad_y, b + p), taps)
+        w = multiply_add_nine(w, load(grad_y, c + p), taps)
+    return u, v, w
+
+
+@njit(**OPTIONS)
+def nine_taps(x, p, row):
+    above, middle, below = p - row, p, p + row
+    upper = load(x, above - 1), load(x, above), load(x, above + 1)
+    return *upper, load(x, middle - 1), load(x, middle), load(x, middle + 1), load(x, below - 1), load(x, below), load(x, below + 1)
+
+
+@njit(**OPTIONS)
+def multiply_add_nine(sums, y, taps):
+    s, x = sums, taps
+    first = multiply_add(s[0], y, x[0]), multiply_add(s[1], y, x[1]), multiply_add(s[2], y, x[2])
+    second = multiply_add(s[3], y, x[3]), multiply_add(s[4], y, x[4]), multiply_add(s[5], y, x[5])
+    return *first, *second, multiply_add(s[6], y, x[6]), multiply_add(s[7], y, x[7]), multiply_add(s[8], y, x[8])
+
+
+@njit(**OPTIONS)
+def add_nine(numbers, first, nine):
+    """Add the sums of nine vectors to nine consecutive numbers."""
+    for i in range(9):
+        numbers[first + i] += horizontal_sum(nine[i])
