@@ -5,7 +5,6 @@ so that `reproduce` goes on where it was stopped. Demonstrations are recorded wi
 seed draws the first weights, the batches and, added to `TEST_SEED`, the test goals. Seeds from 500 to 999 are for tuning.
 """
 
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -190,8 +189,6 @@ def model_of(
     finished, begun = (run / "README.md").exists(), (run / "resume.pt").exists()
     if finished or begun:
         refuse_other_run(run, demonstrations, network, config)
-    elif run.exists():
-        shutil.rmtree(run)  # it was stopped before its first checkpoint
     if finished:
         return load_model(run).to(place)
     tell(f"{cell.name}: training")
@@ -203,7 +200,7 @@ def model_of(
         "provenance": provenance(place),
     }
     crew = Crew(device=place)
-    train(demonstrations, network, config=config, folder=run, resume=begun, about=about, progress=progress, crew=crew)
+    train(demonstrations, network, config=config, folder=run, resume=run.exists(), about=about, progress=progress, crew=crew)
     write_card(run)
     return load_model(run).to(place)
 

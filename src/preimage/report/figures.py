@@ -21,7 +21,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from preimage.records import Plan, Trial
 from preimage.report.films import as_rgb
-from preimage.storage.atomic_write import whole_file
+from preimage.storage.atomic_write import atomic_write
 
 NUM_COLUMNS = 8
 """Frames shown of a sequence, evenly spaced up to arrival."""
@@ -223,7 +223,7 @@ def quiet(axes: Axes) -> None:
 def save(drawing: Figure, path: str | os.PathLike[str]) -> Path:
     """The drawing as a PNG, whole or not at all."""
     path = Path(path)
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         drawing.savefig(unfinished, format="png")
     return path
 

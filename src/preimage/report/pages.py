@@ -15,7 +15,7 @@ from typing import Any
 from urllib.parse import quote
 
 from preimage.records import number_of
-from preimage.storage.atomic_write import whole_file
+from preimage.storage.atomic_write import atomic_write
 
 SUCCESS_MEANS = {
     "reach": "the hand ends within 4 cm of the goal position",
@@ -79,7 +79,7 @@ def page(
         _cases(cases, path.parent),
         _all_goals(results["rows"]),
     ]
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_text(document(title, "\n".join(body)), encoding="utf-8")
     return path
 

@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from preimage.data.dataset import save
 from preimage.records import Body, Demonstration, Percept, Plan, Scene, Stopped, scene_of
-from preimage.storage.atomic_write import whole_file
+from preimage.storage.atomic_write import atomic_write
 
 ARRAYS = ("frames", "joints", "errors", "intention")
 NUMBERS = ("arrival_step", "rate_hz", "error", "seconds")
@@ -40,7 +40,7 @@ def save_plan(plan: Plan, folder: Path | str, *, scene: Scene | None = None, com
     folder = Path(folder)
     commands = plan.joints[: plan.arrival_step + 1] if commands is None else commands
     with contextlib.ExitStack() as files:  # every file is whole before the first of them moves into its place
-        about, arrays, table = (files.enter_context(whole_file(folder / name)) for name in ("plan.json", "plan.npz", "joints.csv"))
+        about, arrays, table = (files.enter_context(atomic_write(folder / name)) for name in ("plan.json", "plan.npz", "joints.csv"))
         with arrays.open("wb") as file:
             np.savez_compressed(file, **{name: getattr(plan, name) for name in ARRAYS}, **known_of(plan))
         with table.open("w", newline="") as file:
