@@ -1,8 +1,7 @@
 """The run folder of a training that is going on: opened once, by one process, and saved now and then.
 
-A training that is killed goes on from its last checkpoint, or, where it was killed before the first one, from the beginning. What is
-saved first is what a training goes on from (resume.pt); the weights to plan with (model.safetensors) follow, and are brought up to date
-when the run is opened again.
+A training that is killed goes on from its last checkpoint, or, where it was killed before the first one was complete, from the beginning.
+A checkpoint is what the training goes on from (resume.pt) and, written before it, the weights to plan with (model.safetensors).
 """
 
 import contextlib
@@ -19,9 +18,10 @@ from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Demonstration
 from preimage.storage.atomic_write import atomic_write, remove, write_json
 from preimage.storage.checksums import is_damaged_zip, saved_by_torch, with_checksum_in_zip
+from preimage.storage.hub import CARD
 from preimage.storage.locks import LOCK, locked
 from preimage.storage.output_folders import LEFT_BY_OTHERS
-from preimage.storage.runs import NETWORK_KEYS, WEIGHTS, read_config, write_config, write_shown, write_weights
+from preimage.storage.runs import NETWORK_KEYS, WEIGHTS, part_of, read_config, read_log, write_config, write_shown, write_weights
 
 CHECKPOINT, LOG = "resume.pt", "log.jsonl"
 UNFINISHED_BY_ANYBODY = re.compile(r"\..+\.part")
@@ -93,8 +93,15 @@ def validate_run_folder(folder: Path, *, resume: bool) -> None:
         raise ValueError(f"{folder} is not empty: give a new folder, or {goes_on}")
     if not begun:
         raise ValueError(f"{folder} is no run folder: it has no config.json; train without --resume, into a new folder")
-    if not saved and (folder / WEIGHTS).exists():
+    if not saved and (folder / WEIGHTS).exists() and not stopped_in_first_checkpoint(folder):
         raise ValueError(f"{folder} holds a trained model and no {CHECKPOINT} to go on from: restore it, or train into a new folder")
+
+
+def stopped_in_first_checkpoint(folder: Path) -> bool:
+    """Whether the weights of a run without a checkpoint are those of a first one that was not completed."""
+    every = part_of(read_config(folder), "train").get("checkpoint_every", 0)
+    begun = not (folder / CARD).exists() and (folder / LOG).is_file() and isinstance(every, int)
+    return begun and read_log(folder)[-1]["update"] <= every
 
 
 def is_blank(folder: Path) -> bool:
@@ -134,7 +141,7 @@ def begin_or_go_on(
     if learner.update == 0:
         write_shown(folder, demonstrations)
     else:
-        write_weights(folder, learner.model)  # a process killed while it saved leaves those of the checkpoint before
+        write_weights(folder, learner.model)  # a process killed while it saved may leave those of the checkpoint it did not complete
     forget_after(folder / LOG, learner.update)
 
 
@@ -165,14 +172,14 @@ def append_to_log(run: Path, line: Mapping[str, Any]) -> None:
 
 
 def save_checkpoint(run: Path, learner: Resumable) -> None:
-    """Save what the training goes on from, then the weights.
+    """Save the weights, then what the training goes on from, which promises that they are there.
 
     Raises:
         OSError: the disk is full or read-only; the former ones are kept.
     """
+    write_weights(run, learner.model)
     with atomic_write(run / CHECKPOINT) as path:
         path.write_bytes(with_checksum_in_zip(saved_by_torch(learner.state())))
-    write_weights(run, learner.model)
 
 
 def write_non_finite(run: Path, update: int, tensor: str) -> None:

@@ -59,6 +59,8 @@ class Kind:
     """Files that it may hold besides."""
     folders: Mapping[str, "Kind"] = field(default_factory=dict)
     """Folders that it may hold, each of a kind of its own."""
+    required_folders: tuple[str, ...] = ()
+    """Those of them that it has to hold."""
 
     def holds(self, folder: Path) -> bool:
         """Whether a folder is one of this kind and nothing else is in it."""
@@ -70,6 +72,9 @@ class Kind:
             return f"{folder} is a link" if folder.is_symlink() else f"{folder} is no folder"
         for name in self.required:
             if not is_regular_file(folder / name):
+                return f"{folder} holds no {name}"
+        for name in self.required_folders:
+            if not is_regular_folder(folder / name):
                 return f"{folder} holds no {name}"
         for path in sorted(folder.iterdir()):
             if path.name in self.folders:

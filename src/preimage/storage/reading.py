@@ -29,6 +29,8 @@ LONGEST_JSON = 64 << 20
 """Bytes of a JSON file; what this program writes has thousands."""
 LARGEST_ARRAYS = 512 << 20
 """Bytes of all arrays of one file, unpacked; those of a plan of a thousand frames in colour are a fortieth of it."""
+LARGEST_NUMBER = 1e300
+"""A whole number beyond it is none that could be computed with either."""
 BROKEN = OSError, KeyError, ValueError, TypeError, AttributeError, EOFError, OverflowError, MemoryError, zipfile.BadZipFile, zlib.error
 """What damaged files make the libraries raise that read them."""
 
@@ -39,12 +41,26 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: it is missing, no such JSON, or holds a number that is not finite; the text says which, and not where the file is.
     """
+    content = parse_json(path)
+    if not isinstance(content, dict):
+        raise ValueError(f"it holds {kind_of(content)}, not names with values")
+    if place := non_finite_in(content):
+        raise ValueError(f"{place}, which is not finite")
+    return content
+
+
+def parse_json(path: Path) -> Any:
+    """What a JSON file holds, whatever that is.
+
+    Raises:
+        ValueError: it is missing, or no JSON.
+    """
     if not path.is_file():
         raise ValueError(f"there is no file {path.name}")
-    if path.stat().st_size > LONGEST_JSON:
-        raise ValueError(f"it has {path.stat().st_size >> 20} MB")
     try:
-        content = json.loads(path.read_bytes().decode("utf-8-sig"))
+        if path.stat().st_size > LONGEST_JSON:
+            raise ValueError
+        return json.loads(path.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise ValueError(f"it cannot be opened: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -52,12 +68,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except json.JSONDecodeError as error:
         raise ValueError(f"it is no JSON from line {error.lineno}, column {error.colno} on") from error
     except (RecursionError, ValueError) as error:  # lists in lists in lists; a number of thousands of digits
-        raise ValueError("it is no JSON that a person would write") from error
-    if not isinstance(content, dict):
-        raise ValueError(f"it holds {kind_of(content)}, not names with values")
-    if place := non_finite_in(content):
-        raise ValueError(f"{place}, which is not finite")
-    return content
+        raise ValueError("it is too large, or no JSON that a person would write") from error
 
 
 def kind_of(value: object) -> str:
@@ -71,8 +82,8 @@ def kind_of(value: object) -> str:
 
 def non_finite_in(content: object) -> str | None:
     """Where the first number stands that is not finite, and what it is."""
-    if isinstance(content, float) and not math.isfinite(content):
-        return f"is {content}"
+    if isinstance(content, int | float) and not abs(content) <= LARGEST_NUMBER:
+        return f"is {content!r:.40}"
     each = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
     for name, value in each:
         if found := non_finite_in(value):
