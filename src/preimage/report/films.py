@@ -206,3 +206,5 @@ def _colours(pixels: UInt8[np.ndarray, "N H W 3"], num_colours: int) -> list[int
 
 
 _WRITERS: dict[str, Callable[[Path, Iterator[Image.Image], float], None]] = {".mp4": _write_mp4, ".gif": _write_gif}
+FILM_SUFFIXES = tuple(_WRITERS)
+"""How the name of a film may end."""

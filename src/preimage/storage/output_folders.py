@@ -16,9 +16,10 @@ import errno
 import glob
 import os
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from fnmatch import fnmatch
 from pathlib import Path
 
 from preimage.storage.atomic_write import UNFINISHED, remove, remove_leftovers, unfinished_path
@@ -57,6 +58,8 @@ class Kind:
     """Files that it has to hold to be recognised."""
     files: tuple[str, ...] = ()
     """Files that it may hold besides."""
+    pattern: str | None = None
+    """Of the names of more files that it may hold."""
     folders: Mapping[str, "Kind"] = field(default_factory=dict)
     """Folders that it may hold, each of a kind of its own."""
     required_folders: tuple[str, ...] = ()
@@ -80,9 +83,37 @@ class Kind:
             if path.name in self.folders:
                 if reason := self.folders[path.name].foreign_in(path):
                     return reason
-            elif path.name not in {*self.required, *self.files, *LEFT_BY_OTHERS} or not is_regular_file(path):
+            elif not self.may_hold(path.name) or not is_regular_file(path):
                 return f"{path} is not of it"
         return None
+
+    def may_hold(self, name: str) -> bool:
+        """Whether a file of this name may be in such a folder."""
+        return name in {*self.required, *self.files, *LEFT_BY_OTHERS} or bool(self.pattern and fnmatch(name, self.pattern))
+
+
+def validate_output_file(path: Path, noun: str, *, suffixes: Sequence[str] = (), marks: Sequence[bytes] = ()) -> None:
+    """Raises ValueError where a file cannot be written to a path, or one that is there is not replaced.
+
+    Args:
+        noun: what to call it: `film`.
+        suffixes: how the path may end; by default anyhow.
+        marks: what a file has to hold to be replaced; by default any file of the suffixes is.
+    """
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise ValueError(f"{path} is to be a {noun}, which ends in {' or '.join(suffixes)}: give such a name")
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder: give the name of a file")
+    if not os.path.lexists(path):
+        return
+    if not path.is_file() or (marks and not holds_marks(path, marks)):
+        raise ValueError(f"{path} is there already, is no {noun} of ours and is kept: give another name")
+
+
+def holds_marks(path: Path, marks: Sequence[bytes]) -> bool:
+    """Whether a file holds all of these bytes."""
+    content = path.read_bytes()
+    return all(mark in content for mark in marks)
 
 
 def validate_output_folder(folder: Path, kind: Kind, *, overwrite: bool = False) -> None:

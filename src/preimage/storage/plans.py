@@ -26,7 +26,7 @@ from preimage.storage.output_folders import Kind, is_regular_file, output_folder
 from preimage.storage.reading import read_arrays, read_json
 
 ARRAYS = ("frames", "joints", "errors", "intention")
-NUMBERS = ("arrival_step", "rate_hz", "error", "seconds", "unexplained")
+NUMBERS = ("arrival_step", "rate_hz", "error", "seconds")
 FILES = ("plan.json", "plan.npz", "joints.csv")
 ONE_FILE = Kind("file", required=("file-000.parquet",))
 """What a data set of one file has in its only chunk."""
@@ -80,7 +80,7 @@ def save_plan(
             rows.writerow(["time_s", *plan.joint_names])
             for step, joints in enumerate(commands):
                 rows.writerow([round(step / (rate_hz or plan.rate_hz), 6), *(round(float(angle), 6) for angle in joints)])
-        facts = {name: getattr(plan, name) for name in NUMBERS}
+        facts = {name: getattr(plan, name) for name in (*NUMBERS, "unexplained")}
         facts |= {"joint_names": plan.joint_names, "stopped": plan.stopped.name, "scene": asdict(scene) if scene else None}
         about.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
 
@@ -152,20 +152,19 @@ def load_plan(folder: Path | str) -> tuple[Plan, Scene | None]:
         recalled=parts.get("recalled"),
         joint_names=tuple(about["joint_names"]),
         stopped=Stopped[about["stopped"]],
-        **{name: about.get(name) for name in NUMBERS},
+        unexplained=about.get("unexplained"),
+        **{name: about[name] for name in NUMBERS},
     )
     return plan, scene
 
 
 def validate_facts(about: dict[str, Any]) -> None:
     """Raises ValueError where what plan.json says is missing, of another type, or out of range."""
-    for name in (*NUMBERS[:-1], "joint_names", "stopped", "scene"):
+    for name in (*NUMBERS, "joint_names", "stopped", "scene"):
         if name not in about:
             raise ValueError(f"plan.json has no {name}")
-    for name in NUMBERS:
-        value = about.get(name, 0.0)
-        if name == "unexplained" and value is None:
-            continue
+    for name in NUMBERS if about.get("unexplained") is None else (*NUMBERS, "unexplained"):
+        value = about[name]
         if isinstance(value, bool) or not isinstance(value, int if name == "arrival_step" else int | float):
             raise ValueError(f"{name} is {value!r:.40}: a {'whole ' if name == 'arrival_step' else ''}number is needed")
     if not LOWEST_RATE_HZ <= about["rate_hz"] <= HIGHEST_RATE_HZ:
