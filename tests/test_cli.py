@@ -114,20 +114,22 @@ def test_joints_of_one_goal_among_several_are_told(refused, run_folder, data, tm
 
 
 def test_a_plan_leaves_an_episode_that_keeps_to_the_limits(capsys, run_folder, data, tmp_path):
-    limits = {"joint1": {"lower": -0.001, "upper": 0.001, "step": 0.0005}}
+    home = float(np.mean([one.joints[0, 0] for one in preimage.load(data)]))
+    limits = {"joint1": {"lower": home - 0.001, "upper": home + 0.001, "step": 0.0005}}
     (tmp_path / "limits.json").write_text(json.dumps(limits))
     words = ["plan", str(run_folder), "--goal", f"{data}:1", "--out", str(tmp_path / "plan"), *QUICK]
-    cli.main([*words, "--joint-limits", str(tmp_path / "limits.json")])
-    assert "joint1 kept above -0.001 and below 0.001 rad in " in capsys.readouterr().out
+    cli.main([*words, "--joint-limits", str(tmp_path / "limits.json"), "--rate-hz", "2.5"])
+    assert "joint1 kept above " in capsys.readouterr().out
     (episode,) = preimage.load(tmp_path / "plan" / "lerobot")
     table = np.loadtxt(tmp_path / "plan" / "joints.csv", delimiter=",", skiprows=1, ndmin=2)[:, 1:]
     for commands in (episode.joints[:, 0], table[:, 0]):
-        assert np.abs(commands).max() <= 0.001 + 1e-6
+        assert np.abs(commands - home).max() <= 0.001 + 1e-6
         assert np.abs(np.diff(commands)).max(initial=0) <= 0.0005 + 2e-6
-    assert episode.joint_names == preimage.load(data)[0].joint_names
+    assert (episode.joint_names, episode.rate_hz) == (preimage.load(data)[0].joint_names, 2.5)
     assert describe(tmp_path / "plan" / "lerobot").joint_unit == "rad"
     cli.main([*words, "--overwrite"])  # into the same folder, without the file
-    assert "joint1 kept above -0.001" not in capsys.readouterr().out
+    assert "joint1 kept above" not in capsys.readouterr().out
+    assert preimage.load(tmp_path / "plan" / "lerobot")[0].rate_hz == 10  # by default that of the recordings
 
 
 def test_plan_to_an_image_file(run_folder, demonstrations, tmp_path):
