@@ -117,7 +117,8 @@ def test_a_plan_leaves_an_episode_that_keeps_to_the_limits(capsys, run_folder, d
     home = float(np.mean([one.joints[0, 0] for one in preimage.load(data)]))
     limits = {"joint1": {"lower": home - 0.001, "upper": home + 0.001, "step": 0.0005}}
     (tmp_path / "limits.json").write_text(json.dumps(limits))
-    words = ["plan", str(run_folder), "--goal", f"{data}:1", "--out", str(tmp_path / "plan"), *QUICK]
+    late = ["--delay-penalty", "0.01"]  # a network that knows nothing arrives at once
+    words = ["plan", str(run_folder), "--goal", f"{data}:1", "--out", str(tmp_path / "plan"), *QUICK, *late]
     cli.main([*words, "--joint-limits", str(tmp_path / "limits.json"), "--rate-hz", "2.5"])
     assert "joint1 kept above " in capsys.readouterr().out
     (episode,) = preimage.load(tmp_path / "plan" / "lerobot")
