@@ -21,7 +21,7 @@ WALLS = {  # wing or room -> what it never imports, wherever it stands
     "ideas": {"robot", "mujoco", "evaluation"},
     "method": {"robot", "mujoco", "evaluation"},
 }
-ROOMS = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
+ROOMS = sorted(path for path in ROOT.rglob("*.py") if path not in (ROOT / "__init__.py", ROOT / "__main__.py"))
 
 
 def wing_of(path: Path) -> str:

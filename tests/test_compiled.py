@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from conftest import make_demonstration
+from preimage.fast import closed_loop_engine, serves
 from preimage.method.train import TrainConfig, train
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN, Generated, imagined
@@ -28,7 +29,7 @@ SMALL = Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0))
 
 @pytest.fixture(autouse=True)
 def compiling(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("preimage.network.pdvmrnn.COMPILES", True)
+    monkeypatch.setattr("preimage.network.engines.ENGINES", [closed_loop_engine])
 
 
 def network(config: ModelConfig, size: tuple[int, int, int], batch: int, dtype: torch.dtype) -> PDVMRNN:
@@ -55,7 +56,7 @@ def by_torch(model: PDVMRNN, start: tuple[Tensor, Tensor]) -> Generated:
 
 
 def compiled(model: PDVMRNN, start: tuple[Tensor, Tensor]) -> Generated:
-    assert model._is_compiled(start, None)
+    assert serves(model, start, None)
     return model.generate_closed_loop(model.intention_table.intentions(), start, num_steps=NUM_STEPS)
 
 
@@ -135,7 +136,7 @@ def test_where_no_folder_can_be_written_to_nothing_is_kept(monkeypatch: pytest.M
 def test_a_training_goes_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
     demonstrations, config = [make_demonstration(seed, size=(16, 16, 1)) for seed in range(3)], TrainConfig(updates=3, precision="float32")
     quick = train(demonstrations, ModelConfig.tiny(), config=config)
-    monkeypatch.setattr("preimage.network.pdvmrnn.COMPILES", False)
+    monkeypatch.setattr("preimage.network.engines.ENGINES", [])
     slow = train(demonstrations, ModelConfig.tiny(), config=config)
     for name, value in slow.state_dict().items():
         torch.testing.assert_close(quick.state_dict()[name], value, rtol=1e-3, atol=1e-3, msg=name)
@@ -144,10 +145,10 @@ def test_a_training_goes_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_it_cannot_or_need_not_do_is_left_to_torch() -> None:
     model, keypoints = PDVMRNN(ModelConfig.tiny(), SMALL), PDVMRNN(ModelConfig(keypoints=2, vision_channels=(6, 8, 8)), SMALL)
     start = start_of(model, 1)
-    assert model._is_compiled(start, torch.float32)
-    assert model._is_compiled(start, torch.bfloat16), "in single precision, which is more"
-    assert not model._is_compiled(start, torch.float64)
-    assert not model._is_compiled((start[0].double(), start[1]), None)
-    assert not keypoints._is_compiled(start, None)
-    assert not PDVMRNN(ModelConfig.paper(), SMALL)._is_compiled(start, None)
+    assert serves(model, start, torch.float32)
+    assert serves(model, start, torch.bfloat16), "in single precision, which is more"
+    assert not serves(model, start, torch.float64)
+    assert not serves(model, (start[0].double(), start[1]), None)
+    assert not serves(keypoints, start, None)
+    assert not serves(PDVMRNN(ModelConfig.paper(), SMALL), start, None)
     assert imagined(0, start) is start

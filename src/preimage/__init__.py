@@ -4,22 +4,30 @@ The names below are in the order of use: an arm and its task, demonstrations of 
 execution, and a film of both.
 """
 
-from preimage.data.dataset import load, save
-from preimage.evaluation.evaluate import Evaluated, evaluate, result_of, wilson_interval
-from preimage.ideas.waypoints import join, plan_in_turn
-from preimage.method.error_regression import regress_intention
-from preimage.method.one_step import follow
-from preimage.method.plan import PlanConfig, imagine_library, plan, recognise
-from preimage.method.train import NonFinite, TrainConfig, train
-from preimage.network.config import ModelConfig, Sensors
-from preimage.network.intention import IntentionState
-from preimage.network.pdvmrnn import PDVMRNN
-from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
-from preimage.report import figure, film
-from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
-from preimage.robot.execution import execute, execute_open_loop
-from preimage.storage.plans import load_plan, save_episode, save_plan
-from preimage.storage.runs import from_pretrained, load_model, push_to_hub, read_shown
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from preimage import fast
+
+if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it torch, matplotlib or mujoco
+    from preimage.data.dataset import load, save
+    from preimage.evaluation.evaluate import Evaluated, evaluate, result_of, wilson_interval
+    from preimage.ideas.waypoints import join, plan_in_turn
+    from preimage.method.error_regression import regress_intention
+    from preimage.method.one_step import follow
+    from preimage.method.plan import PlanConfig, imagine_library, plan, recognise
+    from preimage.method.train import NonFinite, TrainConfig, train
+    from preimage.network.config import ModelConfig, Sensors
+    from preimage.network.intention import IntentionState
+    from preimage.network.pdvmrnn import PDVMRNN
+    from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
+    from preimage.report import figure, film
+    from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
+    from preimage.robot.execution import execute, execute_open_loop
+    from preimage.storage.plans import load_plan, save_episode, save_plan
+    from preimage.storage.runs import from_pretrained, load_model, push_to_hub, read_shown
+
+fast.install()
 
 __all__ = [
     "PDVMRNN",
@@ -68,3 +76,36 @@ __all__ = [
     "train",
     "wilson_interval",
 ]
+
+ROOMS = {
+    "data.dataset": ("load", "save"),
+    "evaluation.evaluate": ("Evaluated", "evaluate", "result_of", "wilson_interval"),
+    "ideas.waypoints": ("join", "plan_in_turn"),
+    "method.error_regression": ("regress_intention",),
+    "method.one_step": ("follow",),
+    "method.plan": ("PlanConfig", "imagine_library", "plan", "recognise"),
+    "method.train": ("NonFinite", "TrainConfig", "train"),
+    "network.config": ("ModelConfig", "Sensors"),
+    "network.intention": ("IntentionState",),
+    "network.pdvmrnn": ("PDVMRNN",),
+    "records": ("Demonstration", "Percept", "Plan", "Scene", "Shown", "Stopped", "Trial"),
+    "report": ("figure", "film"),
+    "robot": ("TASKS", "Arm", "MoveObject", "Reach", "ReachTwo", "record"),
+    "robot.execution": ("execute", "execute_open_loop"),
+    "storage.plans": ("load_plan", "save_episode", "save_plan"),
+    "storage.runs": ("from_pretrained", "load_model", "push_to_hub", "read_shown"),
+}
+"""Where each name is at home."""
+ROOM_OF = {name: room for room, names in ROOMS.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in ROOM_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"preimage.{ROOM_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

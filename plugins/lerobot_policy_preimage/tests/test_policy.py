@@ -138,3 +138,8 @@ def test_other_joints_are_refused(observation):
 def test_without_a_run_nothing_is_planned():
     with pytest.raises(ValueError, match=r"give --policy\.run"):
         PreimagePolicy(PreimageConfig(device="cpu"))
+
+
+def test_a_precision_that_does_not_exist_is_refused():
+    with pytest.raises(ValueError, match=r"--policy\.precision is float8: give auto, bfloat16, float32"):
+        PreimagePolicy(settings(precision="float8"))

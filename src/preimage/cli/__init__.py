@@ -1,38 +1,58 @@
-"""The command line. Exit codes: 0 done, 1 the work failed or was interrupted, 2 the words are off."""
+"""The command line. Exit codes: 0 done, 1 the work failed or was interrupted, 2 the words are off.
 
+A verb's room is loaded when the verb is known, for torch, matplotlib and mujoco take seconds to load and a misspelt word needs none.
+"""
+
+import os
 import sys
-from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib import import_module
 
-import tyro
+DESCRIPTION = "Learn from demonstrations; give a goal image; see the way imagined before the robot moves."
 
-from preimage.cli.acting import demo, execute_, plan_
-from preimage.cli.learning import check, record_, train_
-from preimage.cli.measuring import bench_, evaluate_, report_, reproduce_
-from preimage.compute.processes import ProcessLost, speaks
-from preimage.method.train import NonFinite
 
-VERBS: dict[str, Callable[..., None]] = {
-    "demo": demo,
-    "record": record_,
-    "check": check,
-    "train": train_,
-    "plan": plan_,
-    "execute": execute_,
-    "evaluate": evaluate_,
-    "reproduce": reproduce_,
-    "report": report_,
-    "bench": bench_,
+@dataclass(frozen=True)
+class Verb:
+    """Where a verb is at home, and what it does in one sentence."""
+
+    room: str
+    function: str
+    summary: str
+
+
+VERBS = {
+    "demo": Verb("acting", "demo", "Let the bundled model plan to goals it never saw, execute the plans, and show films and a report."),
+    "record": Verb("learning", "record_", "Record demonstrations of a task on the simulated arm, as a LeRobotDataset v3.0."),
+    "check": Verb("learning", "check", "Say whether recordings can be learned from, what is wrong with them and what would help."),
+    "train": Verb("learning", "train_", "Train a network on the demonstrations of a data set."),
+    "plan": Verb("acting", "plan_", "Imagine a way to a goal, or to several in a row."),
+    "execute": Verb("acting", "execute_", "Let the simulated arm execute a plan, and judge where it ends."),
+    "evaluate": Verb("measuring", "evaluate_", "Count how often plans to goals that were never shown arrive, beside what luck would give."),
+    "reproduce": Verb("measuring", "reproduce_", "Get the paper's numbers again, cell by cell; what was stopped goes on where it was."),
+    "report": Verb("measuring", "report_", "Write the page of results from the JSON files, and the table in the README."),
+    "bench": Verb("measuring", "bench_", "Measure speed beside the machine's own limit."),
 }
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one verb; whatever a user can cause ends in one sentence and an exit code."""
-    description = "Learn from demonstrations; give a goal image; see the way imagined before the robot moves."
+    verb, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
+    if verb in ("--help", "-h"):
+        print(overview())
+        raise SystemExit(0)
+    if verb == "--version":
+        print(f"preimage {version()}")
+        raise SystemExit(0)
+    if verb not in VERBS:
+        fail(what_is_wrong_with(verb), code=2)
     try:
-        tyro.extras.subcommand_cli_from_dict(VERBS, prog="preimage", description=description, args=arguments)
+        run(verb, rest)
     except ValueError as error:
         fail(str(error), code=2)
-    except (NonFinite, ProcessLost) as error:
+    except RuntimeError as error:
+        if not is_failed_work(error):
+            raise
         fail(str(error), code=1)
     except FileExistsError as error:
         fail(f"{error.filename} is there already and is no folder: give another place", code=1)
@@ -42,7 +62,45 @@ def main(arguments: list[str] | None = None) -> None:
         fail("interrupted; what was saved is kept", code=1)
 
 
+def run(verb: str, arguments: list[str]) -> None:
+    import tyro
+
+    chosen = VERBS[verb]
+    function = getattr(import_module(f"preimage.cli.{chosen.room}"), chosen.function)
+    tyro.cli(function, prog=f"preimage {verb}", args=arguments)
+
+
+def overview() -> str:
+    """What `preimage --help` prints."""
+    lines = [f"  {name:<{max(map(len, VERBS))}}  {verb.summary}" for name, verb in VERBS.items()]
+    about = "`preimage VERB --help` says what a verb takes; `preimage --version` says which preimage this is."
+    return "\n".join(["usage: preimage VERB [options]", "", DESCRIPTION, "", *lines, "", about])
+
+
+def version() -> str:
+    from importlib import metadata
+
+    return metadata.version("preimage")
+
+
+def what_is_wrong_with(verb: str) -> str:
+    """One sentence about a first word that is no verb."""
+    if not verb:
+        return f"give a verb: {', '.join(VERBS)}; preimage --help says what they do"
+    near = get_close_matches(verb, VERBS, n=1)
+    return f"there is no verb {verb}: " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(VERBS)}")
+
+
+def is_failed_work(error: RuntimeError) -> bool:
+    """Whether it is one of our own, whose text is for the user."""
+    from preimage.compute.processes import ProcessLost  # nothing is loaded for it that did not run already
+    from preimage.method.train import NonFinite
+
+    return isinstance(error, NonFinite | ProcessLost)
+
+
 def fail(sentence: str, *, code: int) -> None:
-    if speaks():
+    """Leave with one sentence, printed once where several processes of a machine leave together."""
+    if int(os.environ.get("LOCAL_RANK", os.environ.get("SLURM_LOCALID", "0"))) == 0:
         print(f"preimage: {sentence}", file=sys.stderr)
     raise SystemExit(code)

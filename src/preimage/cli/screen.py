@@ -3,8 +3,6 @@
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from preimage.robot import TASKS
-
 console = Console(stderr=True)
 
 
@@ -15,5 +13,8 @@ def bar(*, shown: bool = True) -> Progress:
 
 
 def known_task(task: str) -> None:
+    """Raises ValueError where there is no task of this name."""
+    from preimage.robot import TASKS
+
     if task not in TASKS:
         raise ValueError(f"{task} is no task; known are {', '.join(TASKS)}")

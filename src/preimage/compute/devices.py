@@ -5,14 +5,13 @@ CUDA graph holds all kernels of a piece of work, from tensors at fixed places to
 """
 
 from collections.abc import Callable, Sequence
-from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
+from preimage.compute.choices import Device
+
 CPU = torch.device("cpu")
-Device = Literal["auto", "cpu", "cuda"]
-"""auto: a GPU where there is one."""
 
 
 def place_of(device: Device) -> torch.device:

@@ -9,7 +9,6 @@ tensor([1, 4])
 import atexit
 import contextlib
 import logging
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
@@ -18,7 +17,8 @@ import torch
 from jaxtyping import Int
 from torch import Tensor, distributed, nn
 
-from preimage.compute.devices import CPU, Device, place_of
+from preimage.compute.choices import Device
+from preimage.compute.devices import CPU, place_of
 
 Told = TypeVar("Told")
 
@@ -144,8 +144,3 @@ def gather(*, devices: int, num_nodes: int, device: Device = "auto") -> Crew:
         raise ValueError(text) from error
     atexit.register(distributed.destroy_process_group)  # or its threads abort a process that ends while they run
     return Crew(fabric.global_rank, fabric.world_size, fabric.device)
-
-
-def speaks() -> bool:
-    """Whether this process is the first of its machine, that one error is told once."""
-    return int(os.environ.get("LOCAL_RANK", os.environ.get("SLURM_LOCALID", "0"))) == 0

@@ -16,13 +16,14 @@ import torch
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
+from preimage import fast
 from preimage.compute.devices import CPU, chip_of
 from preimage.compute.freed_memory import keep_freed_memory
 from preimage.data.sequences import Sequences
 from preimage.method.plan import PlanConfig, imagine_library, plan
 from preimage.method.train import Learner, TrainConfig, error_of, optimiser_of
 from preimage.network.config import ModelConfig, Sensors
-from preimage.network.pdvmrnn import COMPILES, PDVMRNN
+from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Percept
 from preimage.robot import TASKS, Arm, record
 from preimage.storage.runs import load_model
@@ -62,7 +63,7 @@ def bench(place: torch.device = CPU, *, quick: bool = False, tell: Callable[[str
     limits = {name: limit_gflops(place, dtype) for name, dtype in (("fp32", torch.float32), ("bf16", torch.bfloat16))}
     tell(f"limit: {limits['fp32']:.0f} GFLOP/s in float32, {limits['bf16']:.0f} in bfloat16")
     result: dict[str, Any] = {"device": chip_of(place), "threads": torch.get_num_threads(), "limit_gflops": limits}
-    if not COMPILES:
+    if not fast.is_available():
         tell("tiny networks are not compiled, for numba is not there: pip install 'preimage[fast]'")
     works = {"small": Work(ModelConfig.small()), "peer": Work(PEER_CONFIG, PEER, batch=2, steps=80, dtype=torch.float32)}
     if not quick:

@@ -1,1 +1,54 @@
-"""The closed loop of tiny networks, compiled by numba."""
+"""The closed loop of tiny networks, compiled by numba: an engine (`network.engines`) for where it is faster than torch.
+
+Importing numba takes a while, so it is left until a loop needs it.
+"""
+
+from importlib.util import find_spec
+from math import prod
+from typing import TYPE_CHECKING
+
+from preimage.network import engines
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+    from preimage.network.cells import State
+    from preimage.network.pdvmrnn import PDVMRNN, Inputs
+
+COMPILED_UP_TO = 600_000
+"""Maps or units of a layer squared, times its places, of all layers and sequences: up to so many the compiled loop is two to fourteen
+times as fast as torch on one core. At nine million, ten sequences of `ModelConfig.small`, both are equal, and torch uses more cores."""
+
+
+def is_available() -> bool:
+    """Whether numba is installed."""
+    return find_spec("numba") is not None
+
+
+def install() -> None:
+    """Let the network run by `closed_loop_engine` what that serves, where numba is installed."""
+    if is_available() and closed_loop_engine not in engines.ENGINES:
+        engines.ENGINES.append(closed_loop_engine)
+
+
+def closed_loop_engine(
+    model: "PDVMRNN", states: "dict[str, State]", start: "Inputs", num_steps: int, dtype: "torch.dtype | None"
+) -> "tuple[Tensor, Tensor] | None":
+    """The compiled loop as an `Engine`; it computes in the precision of the weights, which is the one asked for or more."""
+    if not serves(model, start, dtype):
+        return None
+    from preimage.fast.program import closed_loop
+
+    return closed_loop(model, states, start, num_steps=num_steps)
+
+
+def serves(model: "PDVMRNN", start: "Inputs", dtype: "torch.dtype | None") -> bool:
+    """Whether the closed loop from this start can be compiled, at this precision at least, and is faster for it."""
+    import torch
+
+    weights, pixels = model.pixel_bias, start[0]
+    compilable = weights.device.type == "cpu" and not model.config.keypoints
+    precise = pixels.dtype == weights.dtype and dtype in (None, weights.dtype, torch.bfloat16)
+    work = len(pixels) * sum(shape[0] ** 2 * prod(shape[1:]) for shape in model.state_shapes.values())
+    return compilable and precise and work <= COMPILED_UP_TO

@@ -23,6 +23,8 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from preimage.compute.precision import computes_bfloat16
+
 Step = Callable[[Tensor], Tensor]
 Packed = tuple[Tensor, Tensor] | None
 """A matrix and its transpose in the order in which a CPU multiplies them, where it pays."""
@@ -105,7 +107,7 @@ class Linear(nn.Linear):
         """The weights in the order in which they are multiplied, once for all steps: few rows take less time than the ordering."""
         suits = weight.dtype == torch.bfloat16 and weight.device.type == "cpu" and weight.numel() >= LARGE
         # torch's own compiler is who calls these otherwise, so that a later torch may not have them.
-        if not suits or not hasattr(torch.ops.mkldnn, "_reorder_linear_weight") or not torch.ops.mkldnn._is_mkldnn_bf16_supported():
+        if not suits or not hasattr(torch.ops.mkldnn, "_reorder_linear_weight") or not computes_bfloat16(weight.device):
             return None
         order = torch.ops.mkldnn._reorder_linear_weight
         return order(weight), order(weight.T.contiguous())

@@ -22,8 +22,6 @@ percept 1 for t = 1, since the robot rests before it starts.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.util import find_spec
-from math import prod
 from typing import Any, Self
 
 import torch
@@ -33,6 +31,7 @@ from torch import Tensor, nn
 from preimage.compute.devices import Recorded
 from preimage.ideas.gripper_events import MOST
 from preimage.ideas.image_features import BLUR, arrived, blurred
+from preimage.network import engines
 from preimage.network.cells import LSTM, ConvLSTM, Down, Lateral, State, Up
 from preimage.network.coding import JointCoding
 from preimage.network.config import ModelConfig, Sensors, check_sizes
@@ -47,12 +46,6 @@ InputSequence = tuple[Float[Tensor, "B T C H W"], Float[Tensor, "B T J K"]]
 """The same for all steps of sequences."""
 NetworkStep = Callable[[Inputs, Mapping[str, State]], tuple[Inputs, dict[str, State]]]
 """From inputs and the states before to the predicted pixels and log codes, and the states after."""
-
-COMPILES = find_spec("numba") is not None
-"""Whether the closed loop of a tiny network can be compiled. Importing numba takes a while, and is left until a loop needs it."""
-COMPILED_UP_TO = 600_000
-"""Maps or units of a layer squared, times its places, of all layers and sequences: up to so many the compiled loop is two to fourteen
-times as fast as torch on one core. At nine million, ten sequences of `ModelConfig.small`, both are equal, and torch uses more cores."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,10 +297,10 @@ class PDVMRNN(nn.Module):
         self, intention: IntentionState, start: Inputs, num_steps: int, feed: Callable[[int, Inputs], Inputs], dtype: torch.dtype | None
     ) -> Generated:
         states, inputs = self.initial_states(intention), start
-        if feed is imagined and self._is_compiled(start, dtype):
-            from preimage.fast.program import closed_loop
-
-            return Generated(*closed_loop(self, states, start, num_steps=num_steps))
+        for engine in engines.ENGINES if feed is imagined else ():
+            predicted = engine(self, states, start, num_steps, dtype)
+            if predicted is not None:
+                return Generated(*predicted)
         forward = self.at(dtype or self.pixel_bias.dtype, num_steps)
         all_pixels, all_log_codes = [], []
         for step in range(num_steps):
@@ -316,14 +309,6 @@ class PDVMRNN(nn.Module):
             all_log_codes.append(log_codes)
             inputs = feed(step, (pixels, log_codes.exp()))
         return Generated(torch.stack(all_pixels, 1), torch.stack(all_log_codes, 1))
-
-    def _is_compiled(self, start: Inputs, dtype: torch.dtype | None) -> bool:
-        """Whether the closed loop from this start runs as a program (`fast.program`): where it can, and where that is faster."""
-        weights, pixels = self.pixel_bias, start[0]
-        served = COMPILES and weights.device.type == "cpu" and not self.config.keypoints
-        precise = pixels.dtype == weights.dtype and dtype in (None, weights.dtype, torch.bfloat16)
-        work = len(pixels) * sum(shape[0] ** 2 * prod(shape[1:]) for shape in self.state_shapes.values())
-        return served and precise and work <= COMPILED_UP_TO
 
 
 def imagined(step: int, predicted: Inputs) -> Inputs:

@@ -1,9 +1,11 @@
 """What the policy is told."""
 
 from dataclasses import dataclass
+from typing import get_args
 
 from lerobot.configs import PreTrainedConfig
 
+from preimage.compute.precision import Precision
 from preimage.method.plan import PlanConfig
 
 
@@ -26,6 +28,8 @@ class PreimageConfig(PreTrainedConfig):
     """Iterations of the error regression; by default as many as `preimage plan` makes."""
     doubt: float = PlanConfig.doubt
     """Share of what there is to explain above which a plan's error asks for another search."""
+    precision: str = "auto"
+    """bfloat16, float32, or auto: bfloat16 where the device computes it natively, float32 elsewhere."""
     save_predicted_video: bool = False
     """Whether `lerobot-eval` writes what was imagined."""
 
@@ -35,6 +39,8 @@ class PreimageConfig(PreTrainedConfig):
             raise ValueError("the policy has no run: give --policy.run, a folder that `preimage train` wrote or a bundled name")
         if not self.fps > 0:
             raise ValueError(f"--policy.fps is {self.fps}: give the calls of select_action a second, a number above 0")
+        if self.precision not in get_args(Precision):
+            raise ValueError(f"--policy.precision is {self.precision}: give {', '.join(get_args(Precision))}")
 
     def get_optimizer_preset(self) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         return None

@@ -10,6 +10,7 @@ from lerobot.utils.constants import OBS_STATE
 from torch import Tensor
 
 from lerobot_policy_preimage.configuration_preimage import PreimageConfig
+from preimage.compute.precision import resolve_precision
 from preimage.data.sources import find_percept
 from preimage.data.view import look
 from preimage.method.plan import PlanConfig, plan
@@ -96,7 +97,8 @@ class PreimagePolicy(PreTrainedPolicy):
             names = ", ".join(self.body.joint_names)
             raise ValueError(f"{OBS_STATE} has {len(state)} joints, the run's recordings have {len(self.body.joint_names)}: give {names}")
         start = Percept(self.frame_of(batch, self.camera_in(batch), row), state[self.known])
-        config = PlanConfig(iterations=self.config.iterations, doubt=self.config.doubt)
+        precision = resolve_precision(self.config.precision, self.model.pixel_bias.device)
+        config = PlanConfig(iterations=self.config.iterations, doubt=self.config.doubt, precision=precision)
         with torch.inference_mode(False), torch.enable_grad():  # LeRobot calls in inference mode, in which nothing can be regressed
             found = plan(self.model, start=start, goal=Percept(frame=goal), config=config)
         commands, _ = commands_of(found, self.limits)

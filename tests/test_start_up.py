@@ -1,0 +1,93 @@
+"""What needs no torch does not wait for it: the names of the package, the overview of the verbs, and words that are off."""
+
+import ast
+import pickle
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import preimage
+from preimage import cli
+
+HEAVY = {"torch", "matplotlib", "mujoco", "numpy", "pyarrow", "av", "numba", "tyro"}
+LOADED = f"import sys; print(sorted({HEAVY} & set(sys.modules)))"
+
+
+def heavy_after(code: str) -> set[str]:
+    """What of the heavy packages a fresh Python has loaded after this code, whatever exit that took."""
+    text = f"try:\n    {code}\nexcept SystemExit:\n    pass\n{LOADED}"
+    told = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    return set(ast.literal_eval(told.stdout.splitlines()[-1]))
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import preimage",
+        "from preimage.cli import main; main(['--help'])",
+        "from preimage.cli import main; main(['--version'])",
+        "from preimage.cli import main; main(['trian'])",
+        "from preimage.cli import main; main([])",
+    ],
+)
+def test_nothing_heavy_is_loaded(code):
+    assert heavy_after(code) == set()
+
+
+def test_a_name_loads_what_it_needs_and_no_more():
+    assert heavy_after("from preimage import Percept") == {"numpy"}
+
+
+def test_every_name_is_where_it_is_said_to_be():
+    assert sorted(preimage.__all__) == sorted(preimage.ROOM_OF)
+    for name in preimage.__all__:
+        assert getattr(preimage, name) is getattr(import_module(f"preimage.{preimage.ROOM_OF[name]}"), name)
+        assert name in dir(preimage)
+
+
+def test_a_type_checker_reads_what_is_loaded():
+    (block,) = (node for node in ast.parse(Path(preimage.__file__).read_text()).body if isinstance(node, ast.If))
+    imported = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert imported == {name: f"preimage.{room}" for name, room in preimage.ROOM_OF.items()}
+
+
+def test_a_name_that_is_not_there_is_named():
+    with pytest.raises(AttributeError, match="module 'preimage' has no attribute 'plna'"):
+        _ = preimage.plna
+    with pytest.raises(ImportError, match="plna"):
+        exec("from preimage import plna")
+
+
+def test_what_is_loaded_late_can_be_pickled():
+    assert pickle.loads(pickle.dumps(preimage.plan)) is preimage.plan
+    assert pickle.loads(pickle.dumps(preimage.PDVMRNN)) is preimage.PDVMRNN
+
+
+@pytest.mark.parametrize("verb", cli.VERBS)
+def test_the_overview_says_what_the_verb_says_of_itself(verb):
+    about = cli.VERBS[verb]
+    function = getattr(import_module(f"preimage.cli.{about.room}"), about.function)
+    assert about.summary == function.__doc__.splitlines()[0]
+    assert f"  {verb:<9}  {about.summary}\n" in cli.overview()
+
+
+@pytest.mark.parametrize(
+    ("word", "sentence"),
+    [("trian", "there is no verb trian: did you mean train?"), ("evalute", "there is no verb evalute: did you mean evaluate?")],
+)
+def test_the_verb_that_was_meant_is_found(refused, word, sentence):
+    assert refused(word, "--out", "x") == (2, sentence)
+
+
+def test_a_word_that_is_near_no_verb_is_answered_with_all(refused):
+    code, sentence = refused("dance")
+    assert code == 2
+    assert sentence.endswith(f"there are {', '.join(cli.VERBS)}")
+
+
+def test_the_module_is_the_command():
+    told = subprocess.run([sys.executable, "-m", "preimage", "--version"], capture_output=True, text=True, check=True)
+    assert told.stdout == f"preimage {cli.version()}\n"
