@@ -217,8 +217,17 @@ def test_ctrl_c_saves_and_the_run_can_be_resumed(data, tmp_path, capsys, monkeyp
     with pytest.raises(SystemExit) as left:
         cli.main(["train", str(data), "--out", str(run), "--size", "tiny", "--updates", "2"])
     assert left.value.code == 1
-    assert capsys.readouterr().err.splitlines()[-1] == "preimage: interrupted; what was saved is kept"
+    assert capsys.readouterr().err.splitlines()[-1] == "preimage: interrupted; what was saved is kept, and --resume goes on with it"
     monkeypatch.undo()
-    cli.main(["train", str(data), "--out", str(run), "--resume", "--updates", "9"])
-    assert f"{run} goes on with the settings it was started with; those given now are left aside" in capsys.readouterr().out
-    assert [json.loads(line)["update"] for line in (run / "log.jsonl").read_text().splitlines()] == [1, 2]
+    cli.main(["train", str(data), "--out", str(run), "--resume", "--updates", "5", "--learning-rate", "0.5"])
+    told = capsys.readouterr().out
+    assert f"{run} goes on with the settings it was started with; those given now are left aside" in told
+    assert f"{run} goes on to 5 updates instead of 2" in told
+    config = json.loads((run / "config.json").read_text())["train"]
+    assert (config["updates"], config["learning_rate"]) == (5, preimage.TrainConfig.learning_rate)
+    assert [json.loads(line)["update"] for line in (run / "log.jsonl").read_text().splitlines()] == [1, 2, 3, 4, 5]
+
+
+def test_fewer_updates_than_a_run_has_are_refused(refused, run_folder, data):
+    code, sentence = refused("train", data, "--out", run_folder, "--resume", "--updates", 1)
+    assert (code, sentence) == (2, f"{run_folder} has 2 updates already: give --updates 2 or more")

@@ -21,8 +21,13 @@ from preimage.method.train import Progress as Told
 from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS, Arm, with_frames
 from preimage.storage.atomic_write import write_json
+from preimage.storage.output_folders import validate_output_file
 from preimage.storage.provenance import provenance
 from preimage.storage.runs import find_run, load_model, made_from, read_shown
+
+MOST_GOALS = 100_000
+EVALUATION = {"noun": "evaluation", "marks": (b'"provenance"',)}
+BENCH = {"noun": "bench", "marks": (b'"provenance"',)}
 
 
 def evaluate_(
@@ -57,6 +62,11 @@ def evaluate_(
     """
     known_task(task)
     refuse_out_of_range(config)
+    if not 1 <= goals <= MOST_GOALS:
+        raise ValueError(f"--goals is {goals}: give 1 to {MOST_GOALS}")
+    if not 0 <= seed < 2**63:
+        raise ValueError(f"--seed is {seed}: give a whole number from 0 to {2**63 - 1}")
+    validate_output_file(out, **EVALUATION)
     if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     crew = gather(devices=devices, num_nodes=1, device=device)
@@ -161,6 +171,7 @@ def bench_(out: Path = Path("results/bench.json"), device: Device = "cpu", quick
         device: what to measure.
         quick: leave out the paper's size and the growth of planning time.
     """
+    validate_output_file(out, **BENCH)
     place = place_of(device)
     write_json(out, bench(place, quick=quick) | {"provenance": provenance(place)})
     print(f"wrote {out}; `preimage report` draws it")

@@ -64,9 +64,7 @@ def open_run(
             of another network, or has more updates than are asked for.
         OSError: the disk is full or read-only.
     """
-    if resume and not folder.is_dir():
-        raise ValueError(f"{folder} is not there, so there is nothing to resume: train without --resume")
-    validate_run_folder(folder, resume=resume)
+    goes_on(folder, resume=resume)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
         validate_run_folder(folder, resume=resume)  # again: it may have changed until it was ours
@@ -95,6 +93,18 @@ def validate_run_folder(folder: Path, *, resume: bool) -> None:
         raise ValueError(f"{folder} is no run folder: it has no config.json; train without --resume, into a new folder")
     if not saved and (folder / WEIGHTS).exists() and not stopped_in_first_checkpoint(folder):
         raise ValueError(f"{folder} holds a trained model and no {CHECKPOINT} to go on from: restore it, or train into a new folder")
+
+
+def goes_on(folder: Path, *, resume: bool) -> bool:
+    """Whether a training in a folder goes on with settings that are there, before anything is made ready for it.
+
+    Raises:
+        ValueError: a training can neither begin in the folder nor go on there.
+    """
+    if resume and not folder.is_dir():
+        raise ValueError(f"{folder} is not there, so there is nothing to resume: train without --resume")
+    validate_run_folder(folder, resume=resume)
+    return resume and (folder / "config.json").is_file()
 
 
 def stopped_in_first_checkpoint(folder: Path) -> bool:

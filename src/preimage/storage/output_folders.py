@@ -116,16 +116,19 @@ def holds_marks(path: Path, marks: Sequence[bytes]) -> bool:
     return all(mark in content for mark in marks)
 
 
-def validate_output_folder(folder: Path, kind: Kind, *, overwrite: bool = False) -> None:
+def validate_output_folder(folder: Path, kind: Kind | None = None, *, overwrite: bool = False) -> None:
     """Raises ValueError where a folder is neither new nor empty nor one of the kind that may be replaced.
 
     Args:
+        kind: what may be replaced; by default nothing.
         overwrite: whether a folder of the same kind may be replaced.
     """
     if not os.path.lexists(folder) or is_empty(folder):
         return
     if not folder.is_dir():
         raise ValueError(f"{folder} is there already and is no folder: give another place")
+    if kind is None:
+        raise ValueError(f"{folder} is there already: give a new folder")
     reason = kind.foreign_in(folder)
     if reason:
         raise ValueError(f"{folder} is not empty and is not replaced, for it is no {kind.noun} of ours ({reason}): give a new folder")
@@ -144,10 +147,11 @@ def is_empty(folder: Path) -> bool:
 
 
 @contextmanager
-def output_folder(folder: Path, kind: Kind, *, overwrite: bool = False) -> Iterator[Path]:
+def output_folder(folder: Path, kind: Kind | None = None, *, overwrite: bool = False) -> Iterator[Path]:
     """Lends a folder to write to; afterwards `folder` is what was written, or, after an error, what it was before.
 
     Args:
+        kind: what may be replaced; by default nothing.
         overwrite: whether a folder of the same kind may be replaced.
 
     Raises:
@@ -165,7 +169,8 @@ def output_folder(folder: Path, kind: Kind, *, overwrite: bool = False) -> Itera
         draft.mkdir()
         yield draft
         if into:
-            for path in sorted(draft.iterdir(), key=lambda each: each.name in kind.required):  # what it is recognised by comes last
+            recognised_by = kind.required if kind else ()
+            for path in sorted(draft.iterdir(), key=lambda each: each.name in recognised_by):  # these come last
                 move(path, folder / path.name)
         else:
             validate_output_folder(folder, kind, overwrite=overwrite)  # again: something may have been put there

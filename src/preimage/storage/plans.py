@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from preimage.data.dataset import save
+from preimage.data.lerobot_writer import write_files
 from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Body, Demonstration, Percept, Plan, Scene, Stopped, scene_of
 from preimage.storage.atomic_write import atomic_write, write_json
 from preimage.storage.output_folders import Kind, is_regular_file, output_folder
@@ -117,7 +117,7 @@ def save_episode(
     body = body or Body(plan.joint_names)
     joints = body.whole(commands[np.minimum(rows, len(commands) - 1)], plan.joint_names)
     with output_folder(Path(folder), EPISODE, overwrite=True) as draft:
-        save([Demonstration(frames, joints, rate_hz, body.joint_names)], draft, task=task, joint_unit=body.joint_unit)
+        write_files([Demonstration(frames, joints, rate_hz, body.joint_names)], draft, task=task, joint_unit=body.joint_unit)
         write_json(draft / "meta/planned.json", {"arrival_step": plan.arrival_step, "planned_at_hz": plan.rate_hz})
 
 
