@@ -55,12 +55,10 @@ def safetensors_with_checksum(tensors: dict[str, Tensor]) -> bytes:
 
 def is_damaged_safetensors(content: bytes) -> bool:
     """Whether a safetensors file is another than it was when `safetensors_with_checksum` made it."""
-    header = content[8 : 8 + int.from_bytes(content[:8], "little")]
-    if b"sha256" not in header and b"__metadata__" not in header:
+    if b"sha256" not in content and b"__metadata__" not in content:
         return False  # from before there were checksums
-    found = IN_HEADER.search(header)
+    found = IN_HEADER.search(content)
     if not found:
         return True
-    start = 8 + found.start()
-    plain = content[:start] + NO_DIGEST.encode() + content[start + len(NO_DIGEST) :]
+    plain = content[: found.start()] + NO_DIGEST.encode() + content[found.end() :]
     return hashlib.sha256(plain).hexdigest().encode() != found[0]

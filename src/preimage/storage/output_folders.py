@@ -123,6 +123,8 @@ def validate_output_folder(folder: Path, kind: Kind | None = None, *, overwrite:
         kind: what may be replaced; by default nothing.
         overwrite: whether a folder of the same kind may be replaced.
     """
+    folder = Path(os.path.abspath(folder))
+    restore(folder)
     if not os.path.lexists(folder) or is_empty(folder):
         return
     if not folder.is_dir():
@@ -159,7 +161,6 @@ def output_folder(folder: Path, kind: Kind | None = None, *, overwrite: bool = F
         OSError: the disk is full or read-only.
     """
     folder = Path(os.path.abspath(folder))  # with a name of its own, also where it is given as `.`
-    restore(folder)
     validate_output_folder(folder, kind, overwrite=overwrite)
     into = is_empty(folder)  # it stays itself, for it may be where somebody stands, a link, or a disk of its own
     draft = unfinished_path(folder / "draft" if into else folder)

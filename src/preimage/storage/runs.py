@@ -108,9 +108,9 @@ def read_shown(folder: Path) -> list[Shown]:
             raise ValueError(f"its frames are {last_frames.dtype} of {last_frames.shape[1:]}, the run's uint8 of {shape}")
         if joints.ndim != 2 or joints.shape[1] != sensors.num_joints:
             raise ValueError(f"its joints are {joints.shape}, the run has {sensors.num_joints}")
-        if lengths.dtype.kind not in "iu" or not len(last_frames) == len(lengths) == len(rates_hz) > 0:
-            raise ValueError(f"it has {len(last_frames)} frames, {lengths.shape} lengths and {rates_hz.shape} rates")
-        if lengths.ndim != 1 or rates_hz.ndim != 1 or lengths.min() < 2 or lengths.sum() != len(joints):
+        if not lengths.shape == rates_hz.shape == (len(last_frames),) or not len(last_frames):
+            raise ValueError(f"it has {len(last_frames)} frames, lengths of {lengths.shape} and rates of {rates_hz.shape}")
+        if lengths.dtype.kind not in "iu" or lengths.min() < 2 or lengths.sum() != len(joints):
             raise ValueError(f"its lengths do not add up to {len(joints)} steps of joints")
         if not (rates_hz.min() >= LOWEST_RATE_HZ and rates_hz.max() <= HIGHEST_RATE_HZ):
             raise ValueError(f"its rates are {rates_hz.min():g} to {rates_hz.max():g} Hz")
