@@ -26,11 +26,9 @@ from jaxtyping import Float, UInt8
 
 from preimage.records import Demonstration
 from preimage.robot import TASKS, Arm, record
-from preimage.robot.execution import Stage, limits_of
+from preimage.robot.execution import ENCODER_MARGIN, Stage, limits_of
 from preimage.robot.limits import Limiter
 
-ENCODER_MARGIN = 0.1
-"""Joints are sensed at most this far beyond their limits (rad; gripper: m): stops give way a little."""
 REST_M = 0.005
 """An end effector that moved less than this since the step before is at rest (m)."""
 PATIENCE = 2

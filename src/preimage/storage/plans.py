@@ -169,15 +169,9 @@ def validate_facts(about: dict[str, Any]) -> None:
             raise ValueError(f"{name} is {value!r:.40}: a {'whole ' if name == 'arrival_step' else ''}number is needed")
     if not LOWEST_RATE_HZ <= about["rate_hz"] <= HIGHEST_RATE_HZ:
         raise ValueError(f"rate_hz is {about['rate_hz']:g}: {LOWEST_RATE_HZ:g} to {HIGHEST_RATE_HZ:g} steps a second are needed")
-    names = about["joint_names"]
-    if (
-        not isinstance(names, list)
-        or not names
-        or not all(isinstance(name, str) and name for name in names)
-        or len(set(names)) < len(names)
-    ):
+    if not are_names(about["joint_names"]):
         raise ValueError("joint_names are no names, each once")
-    if about["stopped"] not in Stopped.__members__:
+    if about["stopped"] not in list(Stopped.__members__):
         raise ValueError(f"stopped is {about['stopped']!r:.40}")
     if about["scene"] is not None:
         validate_scene(about["scene"])
@@ -192,6 +186,16 @@ def validate_scene(scene: Any) -> None:
     positions_m = scene.get("positions_m")
     if not isinstance(positions_m, dict) or not all(are_numbers(position) and len(position) in (2, 3) for position in positions_m.values()):
         raise ValueError("its scene has no positions_m of two or three numbers each")
+
+
+def are_names(values: Any) -> bool:
+    """Whether values out of JSON are a list of names, each once."""
+    return (
+        isinstance(values, list)
+        and bool(values)
+        and all(isinstance(each, str) and each for each in values)
+        and len(set(values)) == len(values)
+    )
 
 
 def are_numbers(values: Any) -> bool:
