@@ -39,7 +39,7 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels:
         task: name of the task.
         count: how many demonstrations.
         out: folder to write, new or empty.
-        seed: draws the scenes and the tutor's hand.
+        seed: draws the scenes and the demonstrator's hand.
         pixels: height and width of the frames.
     """
     known_task(task)

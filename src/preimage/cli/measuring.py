@@ -55,7 +55,7 @@ def evaluate_(
         task: name of the task.
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
-        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from what the tutor saw.
+        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from the demonstration.
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share the goals.
         config: how the plans are searched for.

@@ -1,4 +1,4 @@
-"""Let the arm do what was imagined, in physics and within its limits: blind, or with an eye on what it senses."""
+"""Execution of what was imagined, in physics and within limits: blind (closed loop), or with what the robot senses (open loop)."""
 
 import functools
 from collections.abc import Callable
@@ -32,7 +32,7 @@ def execute(plan: Plan, arm: Arm, scene: Scene, *, task: Task | None = None) -> 
         ValueError: the plan is for other joints than the task's, or the scene is of a task that is not known.
     """
     task = task or task_of(scene)
-    arm.furnish(task.furniture)
+    arm.set_up(task.workspace)
     if plan.joint_names != arm.joint_names:
         raise ValueError(f"the plan moves {', '.join(plan.joint_names)}, {task.name} needs {', '.join(arm.joint_names)}")
     return play(plan.joints[: plan.arrival_step + 1], plan.rate_hz, arm, scene, task=task)
@@ -122,7 +122,7 @@ def positions_of(task: str) -> tuple[str, ...]:
 
 
 def limits_of(arm: Arm) -> Limits:
-    """What the arm may be commanded among the furniture where it stands."""
+    """What the arm may be commanded in the workspace where it stands."""
     return Limits(arm.joint_names, arm.joint_units, arm.joint_limits[:, 0], arm.joint_limits[:, 1], arm.velocity_limits)
 
 
@@ -130,11 +130,11 @@ class Stage:
     """A scene laid out for one trial, in which everything that happens is written down."""
 
     def __init__(self, task: Task, arm: Arm, scene: Scene) -> None:
-        arm.furnish(task.furniture)
+        arm.set_up(task.workspace)
         validate_scene(scene, task, arm)
         task.lay_out(arm, scene)
         self._task, self._arm, self._scene = task, arm, scene
-        self._percepts, self.course = [arm.sense()], [arm.witness()]
+        self._percepts, self.course = [arm.sense()], [arm.ground_truth()]
 
     @property
     def percept(self) -> Percept:
@@ -145,7 +145,7 @@ class Stage:
         """The arm went where it was commanded, and what it sensed then is kept."""
         self._arm.move(command, seconds)
         self._percepts.append(self._arm.sense())
-        self.course.append(self._arm.witness())
+        self.course.append(self._arm.ground_truth())
 
     def judge(self) -> Judgement:
         """What the task says of the course so far."""
