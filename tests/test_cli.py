@@ -114,20 +114,23 @@ def test_joints_of_one_goal_among_several_are_told(refused, run_folder, data, tm
 
 
 def test_a_plan_leaves_an_episode_that_keeps_to_the_limits(capsys, run_folder, data, tmp_path):
-    limits = {"joint1": {"lower": -0.001, "upper": 0.001, "step": 0.0005}}
+    home = float(np.mean([one.joints[0, 0] for one in preimage.load(data)]))
+    limits = {"joint1": {"lower": home - 0.001, "upper": home + 0.001, "step": 0.0005}}
     (tmp_path / "limits.json").write_text(json.dumps(limits))
-    words = ["plan", str(run_folder), "--goal", f"{data}:1", "--out", str(tmp_path / "plan"), *QUICK]
-    cli.main([*words, "--joint-limits", str(tmp_path / "limits.json")])
-    assert "joint1 kept above -0.001 and below 0.001 rad in " in capsys.readouterr().out
+    late = ["--delay-penalty", "0.01"]  # a network that knows nothing arrives at once
+    words = ["plan", str(run_folder), "--goal", f"{data}:1", "--out", str(tmp_path / "plan"), *QUICK, *late]
+    cli.main([*words, "--joint-limits", str(tmp_path / "limits.json"), "--rate-hz", "2.5"])
+    assert "joint1 kept above " in capsys.readouterr().out
     (episode,) = preimage.load(tmp_path / "plan" / "lerobot")
     table = np.loadtxt(tmp_path / "plan" / "joints.csv", delimiter=",", skiprows=1, ndmin=2)[:, 1:]
     for commands in (episode.joints[:, 0], table[:, 0]):
-        assert np.abs(commands).max() <= 0.001 + 1e-6
+        assert np.abs(commands - home).max() <= 0.001 + 1e-6
         assert np.abs(np.diff(commands)).max(initial=0) <= 0.0005 + 2e-6
-    assert episode.joint_names == preimage.load(data)[0].joint_names
+    assert (episode.joint_names, episode.rate_hz) == (preimage.load(data)[0].joint_names, 2.5)
     assert describe(tmp_path / "plan" / "lerobot").joint_unit == "rad"
-    cli.main(words)  # into the same folder, without the file
-    assert "joint1 kept above -0.001" not in capsys.readouterr().out
+    cli.main([*words, "--overwrite"])  # into the same folder, without the file
+    assert "joint1 kept above" not in capsys.readouterr().out
+    assert preimage.load(tmp_path / "plan" / "lerobot")[0].rate_hz == 10  # by default that of the recordings
 
 
 def test_plan_to_an_image_file(run_folder, demonstrations, tmp_path):
@@ -139,9 +142,10 @@ def test_plan_to_an_image_file(run_folder, demonstrations, tmp_path):
 
 
 def test_plan_to_joint_angles(run_folder, data, tmp_path):
-    joints = ["--goal-joints", "0", "-0.5", "-2.5", "2", "--modalities", "joints"]
+    shown = preimage.load(data)[0].last.joints.tolist()
+    joints = ["--goal-joints", *map(str, shown), "--modalities", "joints"]
     cli.main(["plan", str(run_folder), "--goal", f"{data}:0", *joints, "--out", str(tmp_path / "plan"), *QUICK])
-    assert preimage.load_plan(tmp_path / "plan")[0].goal.joints.tolist() == [0, -0.5, -2.5, 2]
+    assert preimage.load_plan(tmp_path / "plan")[0].goal.joints.tolist() == shown
 
 
 def test_evaluate_writes_counts_and_baselines(capsys, run_folder, tmp_path):
@@ -198,7 +202,7 @@ def test_a_full_disk_while_planning_is_told(refused, run_folder, data, tmp_path,
     assert code == 1
     assert "No space left on device" in sentence
     assert "Errno" not in sentence
-    assert not list((tmp_path / "plan").iterdir())
+    assert not list(tmp_path.iterdir())
 
 
 def test_ctrl_c_saves_and_the_run_can_be_resumed(data, tmp_path, capsys, monkeypatch):
@@ -212,8 +216,17 @@ def test_ctrl_c_saves_and_the_run_can_be_resumed(data, tmp_path, capsys, monkeyp
     with pytest.raises(SystemExit) as left:
         cli.main(["train", str(data), "--out", str(run), "--size", "tiny", "--updates", "2"])
     assert left.value.code == 1
-    assert capsys.readouterr().err.splitlines()[-1] == "preimage: interrupted; what was saved is kept"
+    assert capsys.readouterr().err.splitlines()[-1] == "preimage: interrupted; what was saved is kept, and --resume goes on with it"
     monkeypatch.undo()
-    cli.main(["train", str(data), "--out", str(run), "--resume", "--updates", "9"])
-    assert f"{run} goes on with the settings it was started with; those given now are left aside" in capsys.readouterr().out
-    assert [json.loads(line)["update"] for line in (run / "log.jsonl").read_text().splitlines()] == [1, 2]
+    cli.main(["train", str(data), "--out", str(run), "--resume", "--updates", "5", "--learning-rate", "0.5"])
+    told = capsys.readouterr().out
+    assert f"{run} goes on with the settings it was started with; those given now are left aside" in told
+    assert f"{run} goes on to 5 updates instead of 2" in told
+    config = json.loads((run / "config.json").read_text())["train"]
+    assert (config["updates"], config["learning_rate"]) == (5, preimage.TrainConfig.learning_rate)
+    assert [json.loads(line)["update"] for line in (run / "log.jsonl").read_text().splitlines()] == [1, 2, 3, 4, 5]
+
+
+def test_fewer_updates_than_a_run_has_are_refused(refused, run_folder, data):
+    code, sentence = refused("train", data, "--out", run_folder, "--resume", "--updates", 1)
+    assert (code, sentence) == (2, f"{run_folder} has 2 updates already: give --updates 2 or more")

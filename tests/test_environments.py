@@ -1,4 +1,4 @@
-"""The tasks as Gymnasium environments: checked by Gymnasium's own checker, solved by the tutor, not solved by passing through."""
+"""The tasks as Gymnasium environments: checked by Gymnasium's own checker, solved by the demonstrator, not solved by passing through."""
 
 import numpy as np
 import pytest

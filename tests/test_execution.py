@@ -30,7 +30,7 @@ def demonstration(shown, request):
 
 
 def plan_of(demonstration, arrival_step=None):
-    """The plan that imagines exactly what the tutor did."""
+    """The plan that imagines exactly what the demonstrator did."""
     return Plan(
         frames=demonstration.frames,
         joints=demonstration.joints,
@@ -94,7 +94,7 @@ def test_wild_commands_keep_every_limit():
 def test_the_limits_are_those_of_the_hand_the_arm_wears():
     arm = Arm()
     assert limits_of(arm).units == ("rad",) * 4
-    arm.furnish(MoveObject().furniture)
+    arm.set_up(MoveObject().workspace)
     limits = limits_of(arm)
     assert (limits.joint_names[4], limits.units[4], limits.lower[4], limits.upper[4]) == ("gripper", "m", 0.0, 0.04)
 

@@ -26,7 +26,7 @@ def test_all_cells_of_the_paper() -> None:
 
 def test_larger_frames_are_a_cell_of_their_own() -> None:
     larger = [cell for cell in cells_of("table-3", "small") if cell.pixels != 64]
-    assert [(cell.name, cell.filmed.furniture.camera.height) for cell in larger] == [("move-object-100-128px-small-seed0", 128)]
+    assert [(cell.name, cell.filmed.workspace.camera.height) for cell in larger] == [("move-object-100-128px-small-seed0", 128)]
     network = network_of(larger[0])
     ladder = PDVMRNN(network, Sensors(128, 128, 1, ("a",), (0.0,), (1.0,))).state_shapes
     plain = PDVMRNN(ModelConfig.small(), Sensors(64, 64, 1, ("a",), (0.0,), (1.0,))).state_shapes

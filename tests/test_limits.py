@@ -42,14 +42,53 @@ def test_twice_as_fast_as_was_ever_shown_takes_longer_and_is_told():
     assert any(sentence.startswith("joint 0 slowed to ") for sentence in limited)
 
 
-@given(st.integers(0, 10**6))
-def test_whatever_is_planned_the_commands_keep_to_the_limits_and_end(seed):
+@given(st.integers(0, 10**6), st.sampled_from([None, 1.0, 10.0, 30.0, 37.3]))
+def test_whatever_is_planned_the_commands_keep_to_the_limits_and_end(seed, rate_hz):
     wanted = np.random.default_rng(seed).normal(scale=2, size=(5, 2))
-    commands, _ = commands_of(plan_along(wanted), SEEN)
-    assert (commands >= SEEN.lower - 1e-9).all()
-    assert (commands <= SEEN.upper + 1e-9).all()
-    assert (np.abs(np.diff(commands, axis=0)) <= SEEN.velocity / 10 + 1e-9).all()
+    commands, _ = commands_of(plan_along(wanted), SEEN, rate_hz=rate_hz)
+    np.testing.assert_array_equal(commands[0], wanted[0])  # where the robot stands
+    outside = np.maximum(SEEN.lower - commands, 0) + np.maximum(commands - SEEN.upper, 0)
+    assert (np.diff(outside, axis=0) <= 1e-9).all()  # it only comes in
+    assert (outside[-1] <= 1e-4).all()
+    assert (np.abs(np.diff(commands, axis=0)) <= SEEN.velocity / (rate_hz or 10) + 1e-9).all()
     np.testing.assert_allclose(commands[-1], np.clip(wanted[-1], SEEN.lower, SEEN.upper), atol=1e-4)
+
+
+def test_a_start_outside_the_limits_is_not_jumped_away_from():
+    limits = replace(SEEN, lower=np.full(2, -1.0), upper=np.full(2, 1.0), velocity=np.full(2, 4.0))
+    start = Percept(joints=np.array([2.0, 0.5]))
+    commands, limited = commands_of(plan_along(np.array([[0.9, 0.5], [0.9, 0.5], [0.9, 0.5], [0.9, 0.5]]), start=start), limits)
+    np.testing.assert_allclose(commands[:, 0], [2.0, 1.6, 1.2, 0.9])
+    assert limited[0] == "joint 0 stands at 2 units, outside -1 to 1, from where it comes in at 4 units/s or slower"
+
+
+@pytest.mark.parametrize("limit", [{"step": 1e-6}, {"velocity": 1e-9}, {"step": 1e-300}, {"step": 5e-324}])
+def test_the_steps_that_limits_add_are_bounded(tmp_path, limit):
+    (tmp_path / "limits.json").write_text(json.dumps({"joint 1": limit}))
+    limits = read_limits(tmp_path / "limits.json", SEEN, rate_hz=10.0)
+    with pytest.raises(ValueError, match=r"joint 1 would need .* more steps at .* units/s, and at most 10000 are added"):
+        commands_of(plan_along(np.array([[0.0, 0.0], [0.1, 0.4]])), limits)
+
+
+def test_added_steps_are_reported():
+    limits = replace(SEEN, velocity=np.array([4.0, 0.1]))
+    _, limited = commands_of(plan_along(np.array([[0.0, 0.0], [0.0, 0.1], [0.0, 0.1]])), limits)
+    assert limited[-1] == "the limits add 8 steps (0.8 s) to 3 steps"
+
+
+def test_between_steps_the_way_is_straight_and_as_fast_as_from_step_to_step():
+    limits = replace(SEEN, velocity=np.full(2, 10.0))
+    commands, limited = commands_of(plan_along(np.array([[0.0, 0.0], [0.1, 0.2], [0.1, 0.1]])), limits, rate_hz=40.0)
+    np.testing.assert_allclose(commands[:, 1], [0, 0.05, 0.1, 0.15, 0.2, 0.175, 0.15, 0.125, 0.1])
+    assert limited == ()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_is_never_commanded(value):
+    with pytest.raises(ValueError, match=r"joint 1 is (nan|inf) at step 1: a robot is commanded finite joints only"):
+        commands_of(plan_along(np.array([[0.0, 0.0], [0.0, value], [0.0, 0.0]])), SEEN)
+    with pytest.raises(ValueError, match="limits hold numbers that are not finite"):
+        replace(SEEN, upper=np.array([0.1, value]))
 
 
 def test_a_joint_that_never_moved_does_not_stop_the_plan():
@@ -87,6 +126,10 @@ def test_a_file_overrides_what_it_names(tmp_path):
         ('{"joint 1": {"lower": NaN}}', "has lower nan for joint 1"),
         ('{"joint 1": {"lower": 1, "upper": 1}}', "leaves joint 1 no room"),
         ('{"joint 1": {"velocity": 0}}', "leaves joint 1 no room"),
+        ('{"joint 1": {"upper": 1e999}}', "has upper inf for joint 1"),
+        ('{"joint 1": {"upper": 1' + 400 * "0" + "}}", "has upper 1000"),
+        ("[" * 100_000, "is no JSON file that can be read"),
+        ("\x00", "is no JSON file that can be read"),
     ],
 )
 def test_a_file_that_is_off_is_told(tmp_path, content, sentence):

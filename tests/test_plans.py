@@ -3,6 +3,8 @@
 import csv
 import dataclasses
 import json
+import os
+import zipfile
 
 import numpy as np
 import pytest
@@ -126,6 +128,21 @@ def arrays(folder, **changes) -> None:
     np.savez(folder / "plan.npz", **parts | changes)
 
 
+def bomb(path, size) -> None:
+    """An npz of a few megabytes whose only array unpacks to `size` bytes."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file, file.open("frames.npy", "w", force_zip64=True) as member:
+        np.lib.format.write_array_header_1_0(member, {"descr": "|u1", "fortran_order": False, "shape": (size,)})
+        for _ in range(size >> 24):
+            member.write(bytes(1 << 24))
+
+
+def long_header(path) -> None:
+    """An npz whose array says that it has many more numbers than there are."""
+    with zipfile.ZipFile(path, "w") as file, file.open("frames.npy", "w") as member:
+        np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
+        member.write(bytes(80))
+
+
 DAMAGES = {
     "no arrays": lambda folder: (folder / "plan.npz").unlink(),
     "arrays cut short": lambda folder: (folder / "plan.npz").write_bytes((folder / "plan.npz").read_bytes()[:-200]),
@@ -145,6 +162,42 @@ DAMAGES = {
     "arrival a word": lambda folder: edit(folder, arrival_step="late"),
     "no rate": lambda folder: edit(folder, rate_hz=0),
     "joints not finite": lambda folder: arrays(folder, joints=np.full((5, 2), np.nan)),
+    "rate infinite": lambda folder: edit(folder, rate_hz=float("inf")),
+    "rate huge": lambda folder: edit(folder, rate_hz=1e300),
+    "rate tiny": lambda folder: edit(folder, rate_hz=1e-4),
+    "rate a truth": lambda folder: edit(folder, rate_hz=True),
+    "rate a huge whole number": lambda folder: edit(folder, rate_hz=10**400),
+    "arrival between two steps": lambda folder: edit(folder, arrival_step=3.5),
+    "arrival before the start": lambda folder: edit(folder, arrival_step=-1),
+    "arrival a truth": lambda folder: edit(folder, arrival_step=True),
+    "error not finite": lambda folder: edit(folder, error=float("nan")),
+    "seconds a word": lambda folder: edit(folder, seconds="two"),
+    "share a word": lambda folder: edit(folder, unexplained="none"),
+    "names twice": lambda folder: edit(folder, joint_names=["yaw", "yaw"]),
+    "names numbers": lambda folder: edit(folder, joint_names=[1, 2]),
+    "names a word": lambda folder: edit(folder, joint_names="ab"),
+    "reason a list": lambda folder: edit(folder, stopped=["CONVERGED"]),
+    "scene without start": lambda folder: edit(folder, scene={"task": "reach", "start_joints": None, "positions_m": {}}),
+    "scene not finite": lambda folder: edit(folder, scene={"task": "reach", "start_joints": [float("nan")], "positions_m": {}}),
+    "scene with a word": lambda folder: edit(folder, scene={"task": "reach", "start_joints": [0], "positions_m": {"goal": "here"}}),
+    "scene in four dimensions": lambda folder: edit(folder, scene={"task": "reach", "start_joints": [0], "positions_m": {"a": [0] * 4}}),
+    "facts nested deep": lambda folder: (folder / "plan.json").write_text("[" * 10_000 + "]" * 10_000),
+    "facts of digits": lambda folder: (folder / "plan.json").write_text('{"error": 1' + "0" * 10_000 + "}"),
+    "facts a pipe": lambda folder: ((folder / "plan.npz").unlink(), os.mkfifo(folder / "plan.npz")),
+    "start not finite": lambda folder: arrays(folder, start_joints=np.array([np.inf, 0])),
+    "goal of other joints": lambda folder: arrays(folder, goal_joints=np.zeros(3)),
+    "errors not finite": lambda folder: arrays(folder, errors=np.array([np.nan])),
+    "intention not finite": lambda folder: arrays(folder, intention=np.array([np.inf])),
+    "recalled of other joints": lambda folder: arrays(folder, recalled=np.zeros((1, 3))),
+    "frames of numbers": lambda folder: arrays(folder, frames=np.zeros((5, 8, 6, 1))),
+    "frames flat": lambda folder: arrays(folder, frames=np.zeros((5, 48), np.uint8)),
+    "no frames": lambda folder: arrays(folder, frames=np.zeros((0, 8, 6, 1), np.uint8), joints=np.zeros((0, 2))),
+    "start of another size": lambda folder: arrays(folder, start_frame=np.zeros((8, 8, 1), np.uint8)),
+    "joints of words": lambda folder: arrays(folder, joints=np.array([["a", "b"]] * 5)),
+    "joints of objects": lambda folder: arrays(folder, joints=np.array([[None, None]] * 5)),
+    "joints complex": lambda folder: arrays(folder, joints=np.zeros((5, 2), complex)),
+    "arrays that unpack to more than there is room for": lambda folder: bomb(folder / "plan.npz", 528 << 20),
+    "an array that says it is longer": lambda folder: long_header(folder / "plan.npz"),
     "fewer joints than frames": lambda folder: arrays(folder, joints=np.zeros((4, 2))),
 }
 

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from preimage.robot import Arm, Camera, Furniture, forward_kinematics, inverse_kinematics
+from preimage.robot import Arm, Camera, Workspace, forward_kinematics, inverse_kinematics
 from preimage.robot.arm import CIRCLE_RADIUS_M, GRIPPER_OPEN_M, OBJECT_RADIUS_M
 from preimage.robot.camera import Renderer
 from preimage.robot.kinematics import BASE_M, HOME_M, PITCHES_DEG, from_polar, grasping_joints, reaching_joints, to_polar
@@ -13,7 +13,7 @@ from preimage.robot.task import LARGE_TABLE_CAMERA
 MILLIMETRE = 1e-3
 OBJECT_M = (0.4, 0.1, 0.05)
 POSITIONS_M = {"circle": (0.3, -0.2, 0), "other_circle": (0.6, -0.1, 0), "object": OBJECT_M}
-FULL = Furniture(1.0, LARGE_TABLE_CAMERA, circles=("circle", "other_circle"), has_object=True, has_gripper=True)
+FULL = Workspace(1.0, LARGE_TABLE_CAMERA, circles=("circle", "other_circle"), has_object=True, has_gripper=True)
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def handy():
 
 def _handy():
     arm = Arm()
-    arm.furnish(FULL)
+    arm.set_up(FULL)
     arm.reset(arm.home, POSITIONS_M)
     return arm
 
@@ -132,7 +132,7 @@ def test_every_ray_meets_what_mujocos_single_ray_meets(make):
 @pytest.mark.parametrize(("height", "width"), [(48, 80), (128, 128), (1, 1)])
 def test_frames_come_in_other_sizes(height, width):
     arm = Arm()
-    arm.furnish(Furniture(camera=Camera(height=height, width=width)))
+    arm.set_up(Workspace(camera=Camera(height=height, width=width)))
     frame = arm.sense().frame
     assert frame.shape == (height, width, 1)
     assert frame.dtype == np.uint8
@@ -140,7 +140,7 @@ def test_frames_come_in_other_sizes(height, width):
 
 def test_a_larger_frame_shows_the_same_scene():
     small, large = Arm(), Arm()
-    large.furnish(Furniture(camera=Camera(height=128, width=128)))
+    large.set_up(Workspace(camera=Camera(height=128, width=128)))
     shrunk = large.sense().frame.reshape(64, 2, 64, 2).mean(axis=(1, 3))
     assert np.abs(shrunk - small.sense().frame[..., 0]).mean() < 1.5
 
@@ -235,17 +235,17 @@ def test_the_gripper_is_a_fifth_joint(handy):
 
 def test_an_arm_gives_its_gripper_back(arm):
     other = _handy()
-    other.furnish(Furniture())
+    other.set_up(Workspace())
     assert other.joint_names == arm.joint_names
     arm.reset(arm.home)
     np.testing.assert_array_equal(other.sense().frame, arm.sense().frame)
 
 
 def test_things_lie_where_they_were_put(handy):
-    witness = handy.witness()
-    np.testing.assert_allclose(witness.object_m, OBJECT_M)
-    assert witness.object_uprightness == 1
-    assert witness.gripper_m == GRIPPER_OPEN_M
+    ground_truth = handy.ground_truth()
+    np.testing.assert_allclose(ground_truth.object_m, OBJECT_M)
+    assert ground_truth.object_uprightness == 1
+    assert ground_truth.gripper_m == GRIPPER_OPEN_M
     assert handy._data.body("other_circle").xpos.tolist() == [0.6, -0.1, 0]
     handy.reset(handy.home)
     assert handy._data.body("other_circle").xpos.tolist() == [0, 0, 0]
@@ -277,23 +277,23 @@ def test_the_gripper_is_sensed_as_it_was_commanded(handy):
     assert handy.sense().joints[4] == 0
     assert handy._data.joint("left_finger").qpos[0] == pytest.approx(OBJECT_RADIUS_M, abs=MILLIMETRE)
     go(handy, (*OBJECT_M[:2], 0.2), 0.0, 1.0)
-    assert handy.witness().object_m[2] == pytest.approx(0.17, abs=5 * MILLIMETRE)
-    assert handy.witness().object_uprightness > 0.99
+    assert handy.ground_truth().object_m[2] == pytest.approx(0.17, abs=5 * MILLIMETRE)
+    assert handy.ground_truth().object_uprightness > 0.99
 
 
 def test_what_is_commanded_is_told_from_what_is_reached(arm):
     """The table stops the hand, not its set points."""
     press(arm, x_m=0.4, depth_m=0.05, seconds=0.5)
-    witness = arm.witness()
-    np.testing.assert_allclose(witness.commanded_m, [0.4, 0.1, -0.05], atol=1e-9)
-    assert witness.end_effector_m[2] > -5 * MILLIMETRE
-    assert (witness.gripper_m, witness.object_m, witness.object_uprightness) == (0.0, None, None)
+    ground_truth = arm.ground_truth()
+    np.testing.assert_allclose(ground_truth.commanded_m, [0.4, 0.1, -0.05], atol=1e-9)
+    assert ground_truth.end_effector_m[2] > -5 * MILLIMETRE
+    assert (ground_truth.gripper_m, ground_truth.object_m, ground_truth.object_uprightness) == (0.0, None, None)
 
 
 def test_the_object_rests_where_it_stands(handy):
     handy.move(handy.home, 2.0)
-    np.testing.assert_allclose(handy.witness().object_m, OBJECT_M, atol=0.2 * MILLIMETRE)
-    assert handy.witness().object_uprightness > 0.9999
+    np.testing.assert_allclose(handy.ground_truth().object_m, OBJECT_M, atol=0.2 * MILLIMETRE)
+    assert handy.ground_truth().object_uprightness > 0.9999
 
 
 @pytest.mark.parametrize("height_m", [0.03, 0.09])
@@ -302,7 +302,7 @@ def test_the_hand_does_not_pass_through_the_object(handy, height_m):
     x, y, _ = OBJECT_M
     stand(handy, (x, y - 0.2, height_m))
     go(handy, (x, y + 0.1, height_m), GRIPPER_OPEN_M, 1.5)
-    assert np.linalg.norm(handy.witness().object_m - OBJECT_M) > 0.03
+    assert np.linalg.norm(handy.ground_truth().object_m - OBJECT_M) > 0.03
 
 
 def test_the_palm_does_not_pass_through_the_object(handy):
@@ -310,18 +310,18 @@ def test_the_palm_does_not_pass_through_the_object(handy):
     x, y, _ = OBJECT_M
     stand(handy, (x, y, 0.2))
     go(handy, (x, y, 0.03), GRIPPER_OPEN_M, 2.0)
-    assert handy.end_effector_m[2] > 0.05 or handy.witness().object_uprightness < 0.9
+    assert handy.end_effector_m[2] > 0.05 or handy.ground_truth().object_uprightness < 0.9
 
 
-# Furniture
+# Workspace
 
 
 def test_furnish_builds_only_what_changed(arm):
     model = arm._model
-    arm.furnish(Furniture())
+    arm.set_up(Workspace())
     assert arm._model is model
     other = Arm()
-    other.furnish(Furniture(table_size_m=1.0))
+    other.set_up(Workspace(table_size_m=1.0))
     assert other._model.geom("table").size.tolist() == pytest.approx([0.5, 0.5, 0.02])
     np.testing.assert_array_equal(other.sense().joints, other.home)
 

@@ -1,4 +1,4 @@
-"""The tasks and their tutor: the contract that every task fulfils, then what each one asks."""
+"""The tasks and their demonstrator: the contract that every task fulfils, then what each one asks."""
 
 import dataclasses
 import json
@@ -98,7 +98,7 @@ def test_no_length_but_those_told(task):
     lengths = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        lengths.append(len(task.hand_path(rng, task.sample(rng))))
+        lengths.append(len(task.demonstration_path(rng, task.sample(rng))))
     shortest, longest = task.num_steps
     assert shortest <= min(lengths) < shortest + 0.3 * (longest - shortest)
     assert longest >= max(lengths) > longest - 0.3 * (longest - shortest)
@@ -121,7 +121,7 @@ def test_doing_nothing_solves_nothing(arm, task, demonstrations):
 
 
 def test_the_tutor_stays_within_every_limit(arm, task, demonstrations):
-    arm.furnish(task.furniture)
+    arm.set_up(task.workspace)
     lower, upper = arm.joint_limits.T
     for demonstration in demonstrations:
         assert ((demonstration.joints >= lower) & (demonstration.joints <= upper)).all()
@@ -163,7 +163,7 @@ def test_nearly_every_first_try_succeeds(arm, name):
     assert solved >= 24
 
 
-# The tutor
+# The demonstrator
 
 
 def test_record_tells_its_progress(arm):
@@ -179,7 +179,7 @@ def test_record_refuses_too_small_numbers(arm, count, seed, message):
 
 
 def test_what_does_not_succeed_is_not_recorded(arm, monkeypatch):
-    """This tutor often reaches beside the object, as it does first with this seed; then the next scene is drawn."""
+    """This demonstrator often reaches beside the object, as it does first with this seed; then the next scene is drawn."""
     monkeypatch.setattr(move_object, "GRASP_SD_M", 0.04)
     rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0,)))
     first_try = MoveObject().sample(rng)
@@ -232,7 +232,7 @@ def test_a_place_out_of_reach_is_refused(task, name):
     scene = scenes_of(task, 1)[0]
     far = dataclasses.replace(scene, positions_m={**scene.positions_m, name: (2.0, 0.0, 0.03)})
     with pytest.raises(ValueError, match=rf"the {name} at \(2.0, 0.0, 0.03\) m is out of reach"):
-        task.hand_path(np.random.default_rng(0), far)
+        task.demonstration_path(np.random.default_rng(0), far)
 
 
 # The camera over the large table
@@ -257,9 +257,9 @@ def test_all_that_matters_is_seen_whole(task):
     places = places[task.is_in_reach(places)]
     half_hand_m = 0.04 + 0.014
     points = [around(places, CIRCLE_RADIUS_M, 0.0), around(places, half_hand_m, 0.03)]
-    if task.furniture.has_object:
+    if task.workspace.has_object:
         points += [around(places, OBJECT_RADIUS_M, OBJECT_HEIGHT_M), around(places, half_hand_m, move_object.GRASP_M)]
-    pixels = pixels_of(task.furniture.camera, np.concatenate(points))
+    pixels = pixels_of(task.workspace.camera, np.concatenate(points))
     assert pixels.min() >= 0
     assert pixels.max() <= 64
     assert np.ptp(pixels[:, 1]) > 58, "nor is room wasted"

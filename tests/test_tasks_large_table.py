@@ -9,9 +9,9 @@ import pytest
 from preimage.records import Scene
 from preimage.robot import (
     Arm,
+    GroundTruth,
     MoveObject,
     ReachTwo,
-    Witness,
     forward_kinematics,
     move_object,
     succeeds_within,
@@ -36,7 +36,7 @@ def arm():
 
 def hand_at(x, y, z, gripper_m=0.0, object_m=None, uprightness=1.0):
     thing = None if object_m is None else np.array(object_m)
-    return Witness(np.array([x, y, z]), np.array([x, y, z]), gripper_m, thing, None if thing is None else uprightness)
+    return GroundTruth(np.array([x, y, z]), np.array([x, y, z]), gripper_m, thing, None if thing is None else uprightness)
 
 
 TWO = Scene("two-points", (0.0,) * 4, {"marker": (0.4, 0.0, 0.0), "goal": (0.6, 0.2, 0.03)})
@@ -83,7 +83,7 @@ def test_the_tutor_touches_the_marker_but_not_the_table(arm, recorded):
     for demonstration in recorded["two-points"]:
         heights_m = forward_kinematics(demonstration.joints)[:, 2]
         assert heights_m.min() < two_points.LOW_M
-        arm.furnish(ReachTwo().furniture)
+        arm.set_up(ReachTwo().workspace)
         for joints in demonstration.joints:
             arm.reset(joints)
             assert arm._data.ncon == 0
@@ -169,13 +169,13 @@ def test_how_far_beside_the_object_the_hand_may_close(arm, offset_cm, success):
     task, rng = MoveObject(), np.random.default_rng(0)
     pairs = [(scene, scene_with_object_moved(scene, offset_cm / 100)) for scene in scenes_of(task, 10)]
     scene, beside = next(pair for pair in pairs if task.is_in_reach(np.array(pair[1].positions_m["object"][:2])))
-    trial = play(task.hand_path(rng, beside), task.rate_hz, arm, scene)
+    trial = play(task.demonstration_path(rng, beside), task.rate_hz, arm, scene)
     assert trial.success is success
     assert trial.details["grasp_error_m"] == pytest.approx(abs(offset_cm) / 100, abs=0.008), "blocked or not"
 
 
 def scene_with_object_moved(scene, sideways_m):
-    """The scene as a tutor sees it who is wrong about where the object is, along the line from finger to finger."""
+    """The scene as a demonstrator sees it who is wrong about where the object is, along the line from finger to finger."""
     x, y, z = scene.positions_m["object"]
     radius, away = np.hypot(x + 0.1, y), np.array([-y, x + 0.1])
     return dataclasses.replace(scene, positions_m={**scene.positions_m, "object": (*(np.array([x, y]) + sideways_m * away / radius), z)})

@@ -18,6 +18,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 0.2, 1000.0
+"""Steps a second of anything that is recorded, planned or commanded; beyond them a unit is wrong, as milliseconds for seconds."""
+
 
 @dataclass(frozen=True, eq=False)
 class Percept:
@@ -168,6 +171,31 @@ class Stopped(enum.Enum):
     CONVERGED = "the error no longer falls; more candidates, not more iterations, could find a better plan"
 
 
+class Verdict(enum.Enum):
+    """How far a plan is to be trusted, from the share of its error in that of staying at the start."""
+
+    REACHED = "reached"
+    NEAR = "near"
+    IN_DOUBT = "in doubt"
+
+
+REACHED_BELOW, NEAR_BELOW = 0.05, 0.25
+"""Shares of the error of staying at the start, below which a plan has reached its goal, or is near it."""
+
+
+def verdict_of(unexplained: float | None) -> Verdict | None:
+    """The word for a share of the error of staying at the start; None where the share is not known.
+
+    >>> verdict_of(0.01), verdict_of(0.97), verdict_of(None)
+    (<Verdict.REACHED: 'reached'>, <Verdict.IN_DOUBT: 'in doubt'>, None)
+    """
+    if unexplained is None:
+        return None
+    if unexplained < REACHED_BELOW:
+        return Verdict.REACHED
+    return Verdict.NEAR if unexplained < NEAR_BELOW else Verdict.IN_DOUBT
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """An imagined way to a goal: T steps of frames and joints, of which the one at `arrival_step` shows the goal."""
@@ -200,6 +228,11 @@ class Plan:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How far to trust the plan; None where that is not known."""
+        return verdict_of(self.unexplained)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,6 @@
 A verb's room is loaded when the verb is known, for torch, matplotlib and mujoco take seconds to load and a misspelt word needs none.
 """
 
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +11,8 @@ from functools import partial
 from importlib import import_module
 from inspect import signature
 from itertools import pairwise
+
+from preimage.cli.errors import fail, one_sentence
 
 DESCRIPTION = "Learn from demonstrations; give a goal image; see the way imagined before the robot moves."
 
@@ -40,7 +41,7 @@ VERBS = {
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run one verb; whatever a user can cause ends in one sentence and an exit code."""
+    """Run one verb; whatever goes wrong ends in one sentence and an exit code."""
     verb, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
     if verb in ("--help", "-h"):
         print(overview())
@@ -50,20 +51,8 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(0)
     if verb not in VERBS:
         fail(what_is_wrong_with(verb), code=2)
-    try:
+    with one_sentence(verb, rest):
         run(verb, rest)
-    except ValueError as error:
-        fail(str(error), code=2)
-    except RuntimeError as error:
-        if not is_failed_work(error):
-            raise
-        fail(str(error), code=1)
-    except FileExistsError as error:
-        fail(f"{error.filename} is there already and is no folder: give another place", code=1)
-    except OSError as error:
-        fail(f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error), code=1)
-    except KeyboardInterrupt:
-        fail("interrupted; what was saved is kept", code=1)
 
 
 def run(verb: str, arguments: list[str]) -> None:
@@ -105,18 +94,3 @@ def what_is_wrong_with(verb: str) -> str:
         return f"give a verb: {', '.join(VERBS)}; preimage --help says what they do"
     near = get_close_matches(verb, VERBS, n=1)
     return f"there is no verb {verb}: " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(VERBS)}")
-
-
-def is_failed_work(error: RuntimeError) -> bool:
-    """Whether it is one of our own, whose text is for the user."""
-    from preimage.compute.processes import ProcessLost  # nothing is loaded for it that did not run already
-    from preimage.method.train import NonFinite
-
-    return isinstance(error, NonFinite | ProcessLost)
-
-
-def fail(sentence: str, *, code: int) -> None:
-    """Leave with one sentence, printed once where several processes of a machine leave together."""
-    if int(os.environ.get("LOCAL_RANK", os.environ.get("SLURM_LOCALID", "0"))) == 0:
-        print(f"preimage: {sentence}", file=sys.stderr)
-    raise SystemExit(code)

@@ -3,9 +3,10 @@
 What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
@@ -14,9 +15,15 @@ from tyro.conf import Positional
 from preimage.cli.screen import bar, remark
 from preimage.compute.choices import Device
 from preimage.presets import PlanOptions, Preset, load_planner
-from preimage.records import Percept, Plan, number_of
+from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Percept, Plan, Verdict, number_of
 from preimage.storage.bundled import BUNDLED
+from preimage.storage.output_folders import Kind, output_folder, validate_output_file, validate_output_folder
 
+if TYPE_CHECKING:
+    from preimage.network.config import Sensors
+
+MOST_GOALS = 1000
+DEMO = Kind("demo", required=("report.html", "result.json"), pattern="goal-*.*")
 BundledTask = Annotated[str, tyro.conf.arg(help=f"which of the bundled models: {' or '.join(BUNDLED)}.")]
 
 
@@ -33,22 +40,24 @@ def demo(
     Args:
         goals: how many goals.
         seed: draws the goals.
-        out: folder for films, figures and report.html.
+        out: folder for films, figures and report.html: new, empty, or that of a demo before, which is replaced.
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
         config: how the plans are searched for.
     """
     if task not in BUNDLED:
         raise ValueError(f"there is no bundled model of {task}; there are {', '.join(BUNDLED)}")
+    if not 1 <= goals <= MOST_GOALS:
+        raise ValueError(f"--goals is {goals}: give 1 to {MOST_GOALS}")
     from preimage.compute.threads import choose_threads
     from preimage.evaluation import demo as demonstration_of_it_all
 
     remark(choose_threads())
-    with bar() as progress:
+    with bar() as progress, output_folder(out, DEMO, overwrite=True) as draft:
         shown = progress.add_task("planning and executing", total=goals)
-        report = demonstration_of_it_all.run(task, config, goals=goals, seed=seed, out=out, progress=lambda: progress.advance(shown))
+        report = demonstration_of_it_all.run(task, config, goals=goals, seed=seed, out=draft, progress=lambda: progress.advance(shown))
     for line in report.lines:
-        print(line)
-    print(f"open {report.page}")
+        print(line.replace(str(draft), str(out)))
+    print(f"open {out / report.page.name}")
 
 
 def plan_(
@@ -58,6 +67,8 @@ def plan_(
     start: str | None = None,
     goal_joints: tuple[float, ...] | None = None,
     joint_limits: Path | None = None,
+    rate_hz: float | None = None,
+    overwrite: bool = False,
     device: Device = "cpu",
     as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
     config: Annotated[PlanOptions, tyro.conf.arg(name="")] = PlanOptions.full(),  # noqa: B008, frozen
@@ -68,10 +79,12 @@ def plan_(
         run: a run folder, the name of a bundled model, or hf:OWNER/NAME of the Hugging Face Hub.
         goal: where the goal comes from: an image file, or DATA:EPISODE or DATA:EPISODE:STEP of a data set;
             of several, each is planned to from where the plan to the one before ends, and the whole is one plan.
-        out: folder to write: the plan, a film and a figure of it, and the joints to command as CSV and as a LeRobotDataset.
+        out: folder to write, new or empty: the plan, a film and a figure of it, and the joints to command as CSV and as a LeRobotDataset.
         start: where the start comes from, likewise; by default the mean start of the demonstrations.
-        goal_joints: joint angles of the goal (rad), for --modalities joints or both.
+        goal_joints: joint angles of the goal, in the unit of the recordings (rad), for --modalities joints or both.
         joint_limits: JSON of what may be commanded, joint by joint: lower, upper, velocity or step; by default what was demonstrated.
+        rate_hz: rows a second of the joints to command; by default as many as the recordings have.
+        overwrite: replace the plan that is in `out`.
         device: what computes; of a small network the CPU has a plan before a GPU has made ready.
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
         config: how the plan is searched for.
@@ -82,35 +95,60 @@ def plan_(
     from preimage.ideas.waypoints import join
     from preimage.report import figure, film
     from preimage.robot.limits import commands_of, limits_seen, read_limits
-    from preimage.storage.plans import save_episode, save_plan
+    from preimage.storage.plans import PLAN, save_episode, save_plan
     from preimage.storage.runs import find_run, read_body, read_shown, read_view
 
-    refuse_useless_joints(goal_joints, num_goals=len(goal), modalities=config.modalities)
+    validate_use_of_joints(goal_joints, num_goals=len(goal), modalities=config.modalities)
+    validate_rate(rate_hz)
+    validate_output_folder(out, PLAN, overwrite=overwrite)
     folder = find_run(run)  # once, so that all parts of a run on the Hub are of one revision
-    planner, view, body = load_planner(folder, config, device=place_of(device)), read_view(folder), read_body(folder)
+    planner = load_planner(folder, config, device=place_of(device))
+    view, body, shown = read_view(folder), read_body(folder), read_shown(folder)
     model = planner.model
-    limits = limits_seen(model.sensors, read_shown(folder), unit=body.joint_unit)
+    limits = limits_seen(model.sensors, shown, unit=body.joint_unit)
     if joint_limits:
         limits = read_limits(joint_limits, limits, rate_hz=model.config.rate_hz)
     wanted = [find_percept(each, model.sensors, view=view, default_step=-1) for each in goal]
     goals = [each.percept for each in wanted]
     if goal_joints is not None:
         goals = [Percept(goals[0].frame, np.array(goal_joints))]
+    if config.modalities != "vision":
+        validate_range_of_joints(goals, model.sensors, unit=body.joint_unit, source="--goal" if goal_joints is None else "--goal-joints")
     begin = find_percept(start, model.sensors, view=view, default_step=0).percept if start else None
     threads = choose_threads()
     legs = planner.plan_in_turn(start=begin, goals=goals)
     found = join(legs)
-    commands, limited = commands_of(found, limits)
-    save_plan(found, out, scene=wanted[-1].scene, commands=commands)
-    save_episode(found, out / "lerobot", commands=commands, body=body)
-    film(found, None, out / "imagined.mp4")
-    figure(found, None, out / "imagined.png", joint_unit=body.joint_unit)
+    rate_hz = rate_hz or max(one.rate_hz for one in shown)
+    commands, limited = commands_of(found, limits, rate_hz=rate_hz)
+    with output_folder(out, PLAN, overwrite=overwrite) as draft:
+        save_plan(found, draft, scene=wanted[-1].scene, commands=commands, rate_hz=rate_hz)
+        save_episode(found, draft / "lerobot", commands=commands, rate_hz=rate_hz, body=body)
+        film(found, None, draft / "imagined.mp4")
+        figure(found, None, draft / "imagined.png", joint_unit=body.joint_unit, commands=commands, commands_hz=rate_hz)
     print("\n".join(sentences_of(legs, found, out)))
     print(threads)
     print("\n".join(limited) or "no limit changed the joints to command")
 
 
-def refuse_useless_joints(goal_joints: tuple[float, ...] | None, *, num_goals: int, modalities: str) -> None:
+def validate_rate(rate_hz: float | None) -> None:
+    """Raises ValueError where commands would be that slow or fast that a unit must be wrong."""
+    if rate_hz is not None and not LOWEST_RATE_HZ <= rate_hz <= HIGHEST_RATE_HZ:
+        raise ValueError(f"--rate-hz is {rate_hz:g}: give {LOWEST_RATE_HZ:g} to {HIGHEST_RATE_HZ:g} rows a second")
+
+
+def validate_range_of_joints(goals: Sequence[Percept], sensors: Sensors, *, unit: str | None, source: str) -> None:
+    """Raises ValueError where a goal asks for a joint outside the range that was demonstrated, which the model cannot imagine."""
+    for goal in goals:
+        if goal.joints is None or len(goal.joints) != sensors.num_joints or not np.isfinite(goal.joints).all():
+            continue  # the planner says what is missing
+        for name, angle, low, high in zip(sensors.joint_names, goal.joints, sensors.joint_lower, sensors.joint_upper, strict=True):
+            if not low <= angle <= high:
+                in_unit = f" {unit}" if unit else ""
+                hint = f"; {angle:g} degrees are {math.radians(angle):.4g} rad" if unit in (None, "rad") and abs(angle) > math.pi else ""
+                raise ValueError(f"{source} has {name} at {angle:g}: it was demonstrated from {low:.4g} to {high:.4g}{in_unit}{hint}")
+
+
+def validate_use_of_joints(goal_joints: tuple[float, ...] | None, *, num_goals: int, modalities: str) -> None:
     """Raises ValueError where joints of the goal were given and nothing would come of them."""
     if goal_joints is None:
         return
@@ -122,14 +160,25 @@ def refuse_useless_joints(goal_joints: tuple[float, ...] | None, *, num_goals: i
 
 def sentences_of(legs: Sequence[Plan], found: Plan, out: Path) -> list[str]:
     """What there is to say of a plan, and of its legs where there are several."""
-    lines = [
-        f"goal {number} of {len(legs)}: arrives after {number_of(leg.arrival_step, 'step')}, error {leg.error:.3f}, {leg.stopped.value}"
-        for number, leg in enumerate(legs, start=1)
-        if len(legs) > 1
-    ]
-    after = f"step {found.arrival_step} ({found.arrival_step / found.rate_hz:.1f} s)"
-    lines.append(f"arrives at {after}, error {found.error:.3f}, planned in {found.seconds:.1f} s, in {out}")
+    lines = []
+    for number, leg in enumerate(legs, start=1) if len(legs) > 1 else ():
+        verdict = verdict_on(leg, f"after {number_of(leg.arrival_step, 'step')}")
+        lines.append(f"goal {number} of {len(legs)}: {verdict}, {leg.stopped.value}")
+    at = f"at step {found.arrival_step} ({found.arrival_step / found.rate_hz:.1f} s)"
+    lines.append(f"{verdict_on(found, at)}, planned in {found.seconds:.1f} s, in {out}")
     return [*lines, f"stopped: {found.stopped.value}"]
+
+
+def verdict_on(plan: Plan, when: str) -> str:
+    """Whether a plan arrives, when, and with which error beside that of staying at the start."""
+    words = {
+        Verdict.REACHED: f"reached: arrives {when}",
+        Verdict.NEAR: f"near: arrives {when}, not quite at the goal",
+        Verdict.IN_DOUBT: f"in doubt: does not arrive, and is nearest {when}",
+        None: f"arrives {when}",
+    }
+    share = "" if plan.unexplained is None else f", {100 * plan.unexplained:.1f} % of that of staying at the start"
+    return f"{words[plan.verdict]}, error {plan.error:.3f}{share}"
 
 
 def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None) -> None:
@@ -140,10 +189,13 @@ def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.a
         film_: film to write, .mp4 or .gif, imagined beside executed.
     """
     from preimage.report import film
+    from preimage.report.films import FILM_SUFFIXES
     from preimage.robot import Arm
     from preimage.robot.execution import execute
     from preimage.storage.plans import load_plan
 
+    if film_:
+        validate_output_file(film_, "film", suffixes=FILM_SUFFIXES)
     found, scene = load_plan(folder)
     if scene is None:
         raise ValueError(f"the plan in {folder} is for a goal without a scene, which nothing can judge: plan with --goal DATA:EPISODE")

@@ -3,6 +3,7 @@
 What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
 """
 
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +17,9 @@ from preimage.data.view import View
 from preimage.network.config import ModelConfig
 from preimage.presets import Preset, TrainOptions, network_config, train
 from preimage.records import number_of
+from preimage.storage.output_folders import output_folder, validate_output_file, validate_output_folder
+
+CHECK_PAGE = {"noun": "page", "marks": (b"<!doctype html>", b"preimage check")}
 
 
 def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels: int = 64) -> None:
@@ -25,23 +29,25 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels:
         task: name of the task.
         count: how many demonstrations.
         out: folder to write, new or empty.
-        seed: draws the scenes and the tutor's hand.
+        seed: draws the scenes and the demonstrator's hand.
         pixels: height and width of the frames.
     """
-    from preimage.data.dataset import save
+    from preimage.data.lerobot_writer import write_files
     from preimage.robot import TASKS, Arm, record, with_frames
 
     known_task(task)
     if not 16 <= pixels <= 1024:
         raise ValueError(f"--pixels is {pixels}: give 16 to 1024")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ValueError(f"{out} is there already: give a new folder")
+    if not 0 <= seed < 2**63:
+        raise ValueError(f"--seed is {seed}: give a whole number from 0 to {2**63 - 1}")
+    validate_output_folder(out)
     with bar() as progress:
         shown = progress.add_task("recording", total=count)
         arm = Arm()
         filmed = with_frames(TASKS[task], pixels)
         demonstrations = record(arm, filmed, count=count, seed=seed, progress=lambda _done, _all: progress.advance(shown))
-    save(demonstrations, out, task=task, joint_unit=arm.joint_unit)
+    with output_folder(out) as draft:
+        write_files(demonstrations, draft, task=task, joint_unit=arm.joint_unit)
     steps = sum(map(len, demonstrations))
     print(f"{number_of(count, 'demonstration')}, {number_of(steps, 'step')} at {TASKS[task].rate_hz:g} Hz, in {out}")
 
@@ -58,6 +64,7 @@ def check(data: Positional[Path], out: Path = Path("check.html"), view: View = V
     from preimage.examination import examine
     from preimage.report import examined_page
 
+    validate_output_file(out, **CHECK_PAGE)
     examination = examine(read_episodes(data, view=view))
     examined_page(examination, out, title=f"preimage check: {data.name}")
     for finding in examination.findings:
@@ -115,10 +122,12 @@ def train_(
     from preimage.evaluation.held_out import every_nth
     from preimage.method.train import Progress as Told
     from preimage.report import learning_curve
+    from preimage.storage.checkpoints import goes_on
     from preimage.storage.provenance import provenance
     from preimage.storage.runs import read_settings, read_view, write_card
 
-    opened = open_recordings(data, view=read_view(out) if resume else view)
+    resumed = goes_on(out, resume=resume)
+    opened = open_recordings(data, view=read_view(out) if resumed else view)
     recorded, lines = opened.demonstrations, list(opened.told)
     learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "held_out": every_nth(len(recorded), hold_out)}
     capacity = {
@@ -128,12 +137,11 @@ def train_(
         "intention_layers": intention_layers,
     }
     model_config = sized(size, as_, rate_hz=rate_hz, seen_channels=seen_channels, keypoints=keypoints, **capacity)
-    if resume:
+    if resumed:
         learned_from = begun_with(out, data, learned_from["fingerprint"])
-        asked, config = config, read_settings(TrainOptions, out, "train")
+        config, told = settings_to_go_on_with(out, config)
         model_config = read_settings(ModelConfig, out, "model")
-        if asked not in (TrainOptions(), config):
-            lines.append(f"{out} goes on with the settings it was started with; those given now are left aside")
+        lines += told
     held_out = learned_from.get("held_out", [])
     demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
     about = {"size": size, "preset": as_, "num_demonstrations": len(demonstrations), "data": learned_from}
@@ -152,10 +160,29 @@ def train_(
         train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell, group=crew)
     if not crew.first:
         return
+    for line in lines:  # of a run that had all its updates
+        print(line)
     learning_curve(out / "log.jsonl", out / "learning_curve.png")
     write_card(out)
     left_out = f", {len(held_out)} held out" if held_out else ""
     print(f"trained on {number_of(len(demonstrations), 'demonstration')}{left_out}; the run is in {out}")
+
+
+def settings_to_go_on_with(out: Path, asked: TrainOptions) -> tuple[TrainOptions, list[str]]:
+    """The settings that the run in `out` was started with, to as many updates as are asked for now; and what there is to say of it."""
+    from preimage.storage.runs import read_settings
+
+    kept = read_settings(TrainOptions, out, "train")
+    given = asked.updates != TrainOptions.updates or any(word.split("=")[0] == "--updates" for word in sys.argv)
+    config = replace(kept, updates=asked.updates) if given else kept
+    lines = []
+    if replace(asked, updates=1) not in (replace(TrainOptions(), updates=1), replace(kept, updates=1)):
+        lines.append(f"{out} goes on with the settings it was started with; those given now are left aside")
+    if config != kept:
+        lines.append(
+            f"{out} goes on to {number_of(config.updates, 'update')} instead of {kept.updates}, at the rates of a training so long"
+        )
+    return config, lines
 
 
 def sized(size: str, preset: Preset, **asked: Any) -> ModelConfig:

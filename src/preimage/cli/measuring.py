@@ -16,6 +16,11 @@ from preimage.compute.choices import Device
 from preimage.evaluation.loops import Loop
 from preimage.presets import PlanOptions, Preset, load_planner
 from preimage.storage.atomic_write import write_json
+from preimage.storage.output_folders import validate_output_file
+
+MOST_GOALS = 100_000
+EVALUATION = {"noun": "evaluation", "marks": (b'"provenance"',)}
+BENCH = {"noun": "bench", "marks": (b'"provenance"',)}
 
 
 def evaluate_(
@@ -44,7 +49,7 @@ def evaluate_(
         task: name of the task.
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
-        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from what the tutor saw.
+        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from the demonstration.
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share the goals.
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
@@ -59,6 +64,11 @@ def evaluate_(
     from preimage.storage.runs import find_run, made_from, read_shown
 
     known_task(task)
+    if not 1 <= goals <= MOST_GOALS:
+        raise ValueError(f"--goals is {goals}: give 1 to {MOST_GOALS}")
+    if not 0 <= seed < 2**63:
+        raise ValueError(f"--seed is {seed}: give a whole number from 0 to {2**63 - 1}")
+    validate_output_file(out, **EVALUATION)
     if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     if data is not None:
@@ -182,6 +192,7 @@ def bench_(out: Path = Path("results/bench.json"), device: Device = "cpu", quick
     from preimage.evaluation.bench import bench
     from preimage.storage.provenance import provenance
 
+    validate_output_file(out, **BENCH)
     place = place_of(device)
     write_json(out, bench(place, quick=quick) | {"provenance": provenance(place)})
     print(f"wrote {out}; `preimage report` draws it")

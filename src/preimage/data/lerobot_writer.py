@@ -63,7 +63,7 @@ def save(demonstrations: Sequence[Demonstration], folder: Path | str, *, task: s
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
         draft = Path(scratch) / folder.name
-        _write(demonstrations, draft, task, joint_unit)
+        write_files(demonstrations, draft, task=task, joint_unit=joint_unit)
         draft.replace(folder)
 
 
@@ -87,7 +87,14 @@ def _check_alike(demonstrations: Sequence[Demonstration]) -> None:
                 raise ValueError(f"demonstration {number} has {what} {its}, the first {firsts}: one data set takes one kind")
 
 
-def _write(demonstrations: Sequence[Demonstration], folder: Path, task: str, joint_unit: str | None) -> None:
+def write_files(demonstrations: Sequence[Demonstration], folder: Path, *, task: str, joint_unit: str | None = None) -> None:
+    """The files of the demonstrations are in an empty folder; a failure leaves some of them there.
+
+    Raises:
+        ValueError: the demonstrations do not agree in frame size, joints or rate.
+        OSError: the disk is full or forbidden.
+    """
+    _check_alike(demonstrations)
     features = _features(demonstrations[0])
     data_file, index_file = (folder / name.format(chunk_index=0, file_index=0) for name in (DATA, EPISODES))
     data_file.parent.mkdir(parents=True)

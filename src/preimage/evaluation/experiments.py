@@ -4,7 +4,6 @@ A cell (`evaluation.recipes`) is one training with the evaluations of its model.
 the working folder, so that `reproduce` goes on where it was stopped.
 """
 
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -98,8 +97,6 @@ def planner_of(
     finished, begun = (run / "README.md").exists(), (run / "resume.pt").exists()
     if finished or begun:
         refuse_other_run(run, demonstrations, network, config)
-    elif run.exists():
-        shutil.rmtree(run)  # it was stopped before its first checkpoint
     if finished:
         return load_planner(run, options, device=place)
     tell(f"{cell.run}: training")
@@ -112,7 +109,7 @@ def planner_of(
         "provenance": provenance(place),
     }
     group = Crew(device=place)
-    train(demonstrations, network, config=config, folder=run, resume=begun, about=about, progress=progress, group=group)
+    train(demonstrations, network, config=config, folder=run, resume=run.exists(), about=about, progress=progress, group=group)
     write_card(run)
     return load_planner(run, options, device=place)
 

@@ -19,7 +19,7 @@ LEAP = 4.0
 LEAP_SHARE = 0.005
 """Glitches are rare: what happens in more than one of two hundred steps is how this joint moves, a gripper that snaps shut."""
 REST = 0.25
-"""Share of an episode's own top speed below which its end counts as rest: what a tutor's wobble and a let-go reach."""
+"""Share of an episode's own top speed below which its end counts as rest: what a demonstrator's wobble and a let-go reach."""
 STARTS = 0.05
 """Share of a joint's span by which starts may scatter (standard deviation): about the noise that plans have anyway."""
 

@@ -6,10 +6,10 @@ resumed gives the same weights, bit for bit on a CPU, as one that never stopped,
 (docs/many_machines.md).
 """
 
-import json
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -32,8 +32,7 @@ from preimage.network.config import ModelConfig
 from preimage.network.intention import IntentionTable, unflatten
 from preimage.network.pdvmrnn import PDVMRNN, Generated
 from preimage.records import Demonstration
-from preimage.storage.atomic_write import whole_file, write_json
-from preimage.storage.runs import write_config, write_shown, write_weights
+from preimage.storage.checkpoints import append_to_log, open_run, save_checkpoint, write_non_finite
 
 
 class NonFinite(RuntimeError):
@@ -91,7 +90,7 @@ def train(
     Args:
         demonstrations: the sequences to learn; frames of one size, the same joints.
         folder: run folder for checkpoints and log; without one nothing is written.
-        resume: go on from the folder's last checkpoint.
+        resume: go on from the folder's last checkpoint, or from the beginning where it has none yet.
         about: more to write into the run's config.json.
         progress: called after every update.
         augmentations: what is made of every batch before it is generated; by the paper nothing.
@@ -117,12 +116,11 @@ def train(
     start_from_demonstrations(model, sequences)
     learner = Learner(model.to(crew.device), optimiser_of(model, config), augmentations=augmentations)
     keep_freed_memory()
-    run = open_run(Path(folder), learner, config, about or {}, resume) if folder is not None and crew.first else None
-    if run and not resume:
-        write_shown(run, demonstrations)
-    if crew.size > 1:  # a checkpoint may lie where the others cannot see it, and another machine may round otherwise
-        learner.load(crew.of_first(learner.state()))
-    with saved_on_interrupt() as interrupted:
+    kept = {"settings": asdict(config), "about": about or {}, "resume": resume}
+    opened = open_run(Path(folder), learner, demonstrations, **kept) if folder is not None and crew.first else nullcontext()
+    with opened as run, saved_on_interrupt() as interrupted:
+        if crew.size > 1:  # a checkpoint may lie where the others cannot see it, and another machine may round otherwise
+            learner.load(crew.of_first(learner.state()))
         stop = False
         while learner.update < config.updates and not stop:
             told = one_update(learner, sequences, config, run, crew)
@@ -130,7 +128,7 @@ def train(
                 progress(told)
             stop = crew.any(interrupted())
             if run and (learner.update % config.checkpoint_every == 0 or learner.update == config.updates or stop):
-                save(run, learner)
+                save_checkpoint(run, learner)
         crew.any(stop)  # all wait until the last checkpoint is written
     if stop:
         raise KeyboardInterrupt
@@ -219,8 +217,7 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     visual, proprioceptive = (each[~batch.blurred].mean().item() for each in (error.visual, error.proprioceptive))
     told = Progress(learner.update, config.updates, visual, proprioceptive, time.perf_counter() - began)
     if run:
-        with (run / "log.jsonl").open("a") as log:
-            log.write(json.dumps(asdict(told)) + "\n")
+        append_to_log(run, asdict(told))
     return told
 
 
@@ -283,48 +280,5 @@ def refuse_non_finite(learner: Learner, error: SequenceError, charge: Tensor, no
     name = next(broken, "the norm of the gradient")
     text = f"{name} is not finite at update {learner.update + 1}: a lower learning rate or precision float32 would do"
     if run:
-        write_json(run / "non_finite.json", {"update": learner.update + 1, "tensor": name})
+        write_non_finite(run, learner.update + 1, name)
     raise NonFinite(text)
-
-
-def open_run(folder: Path, learner: Learner, config: TrainConfig, about: dict[str, Any], resume: bool) -> Path:
-    """The folder to write into: a new one, or the one to resume, with the learner brought to its last checkpoint."""
-    checkpoint = folder / "resume.pt"
-    if resume:
-        resume_from(checkpoint, learner)
-        keep_lines(folder / "log.jsonl", learner.update)
-        return folder
-    if folder.exists() and any(folder.iterdir()):
-        raise ValueError(f"{folder} is not empty: give a new folder, or --resume to go on with the run in it")
-    folder.mkdir(parents=True, exist_ok=True)
-    write_config(folder, learner.model, {"train": asdict(config)} | about)
-    return folder
-
-
-def resume_from(checkpoint: Path, learner: Learner) -> None:
-    """Bring the learner to a checkpoint.
-
-    Raises:
-        ValueError: there is none, it is broken, or it belongs to another network.
-    """
-    if not checkpoint.is_file():
-        raise ValueError(f"{checkpoint.parent} has no checkpoint to resume (resume.pt): train without --resume")
-    try:
-        learner.load(torch.load(checkpoint, map_location="cpu", weights_only=True))
-    except Exception as error:  # torch raises a dozen types for a damaged file
-        reason = str(error).strip().splitlines()[0]
-        raise ValueError(f"{checkpoint} does not fit this training or is broken ({reason}): give the same data and sizes") from error
-
-
-def keep_lines(log: Path, count: int) -> None:
-    """Forget the log lines of updates that were not saved."""
-    lines = log.read_text().splitlines(keepends=True)[:count] if log.exists() else []
-    with whole_file(log) as path:
-        path.write_text("".join(lines))
-
-
-def save(run: Path, learner: Learner) -> None:
-    """Write a checkpoint; a full disk raises OSError and leaves the former one whole."""
-    write_weights(run, learner.model)  # first: a checkpoint promises that its weights are there
-    with whole_file(run / "resume.pt") as path:
-        torch.save(learner.state(), path)

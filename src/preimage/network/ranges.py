@@ -1,8 +1,10 @@
 """Settings validate themselves: what can be asked for is refused where it is asked, on the command line and in Python alike."""
 
-import math
 from collections.abc import Iterable, Mapping
 from typing import Any
+
+MOST = 10**9
+"""Numbers beyond this are none that the work could end with."""
 
 
 def validate(settings: Any, *, at_least: Mapping[str, float] = {}, above_zero: Iterable[str] = (), shares: Iterable[str] = ()) -> None:
@@ -14,9 +16,10 @@ def validate(settings: Any, *, at_least: Mapping[str, float] = {}, above_zero: I
     ValueError: batch_size (--batch-size) is 0: give 1 or more
     """
     for name, least in at_least.items():
-        _require(settings, name, lambda value, least=least: least <= value < math.inf, f"{least} or more")
+        _require(settings, name, lambda value, least=least: value >= least, f"{least} or more")
+        _require(settings, name, lambda value: value <= MOST, f"{MOST} or less")
     for name in above_zero:
-        _require(settings, name, lambda value: 0 < value < math.inf, "a number above 0")
+        _require(settings, name, lambda value: 0 < value <= MOST, f"a number above 0, {MOST} or less")
     for name in shares:
         _require(settings, name, lambda value: 0 <= value <= 1, "a share between 0 and 1")
 

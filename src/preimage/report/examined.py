@@ -17,7 +17,7 @@ from preimage.records import number_of
 from preimage.report.figures import ARRIVAL, FAILURE, INK, MUTED, WIDTH_INCHES, draw_frame, quiet, sheet
 from preimage.report.films import as_rgb
 from preimage.report.pages import document
-from preimage.storage.atomic_write import whole_file
+from preimage.storage.atomic_write import atomic_write
 
 NUM_COLUMNS = 10
 MOST_SHOWN, MOST_MOVES, MOST_JOINTS = 40, 6, 32
@@ -38,7 +38,7 @@ def examined_page(examination: Examination, path: str | os.PathLike[str], *, tit
         _table(examination.findings),
         *_pictures(examination),
     ]
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_text(document(title, "\n".join(body)), encoding="utf-8")
     return path
 

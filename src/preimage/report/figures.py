@@ -11,7 +11,7 @@ from typing import Literal
 
 import matplotlib
 import numpy as np
-from jaxtyping import Int, Shaped
+from jaxtyping import Float, Int, Shaped
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -19,9 +19,9 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from preimage.records import Plan, Trial
+from preimage.records import Plan, Trial, Verdict
 from preimage.report.films import as_rgb
-from preimage.storage.atomic_write import whole_file
+from preimage.storage.atomic_write import atomic_write
 
 NUM_COLUMNS = 8
 """Frames shown of a sequence, evenly spaced up to arrival."""
@@ -39,7 +39,24 @@ class _Strip:
     in_degrees: bool = False
 
 
-def figure(plan: Plan, trial: Trial | None, path: str | os.PathLike[str], *, joint_unit: str | None = None) -> Path:
+@dataclass(frozen=True)
+class _Overlay:
+    """Joints that are drawn over the imagined ones."""
+
+    label: str
+    joints: Float[np.ndarray, "S J"]
+    rate_hz: float
+
+
+def figure(
+    plan: Plan,
+    trial: Trial | None,
+    path: str | os.PathLike[str],
+    *,
+    joint_unit: str | None = None,
+    commands: Float[np.ndarray, "S J"] | None = None,
+    commands_hz: float | None = None,
+) -> Path:
     """Writes a PNG: initial and goal frame, the imagined and the executed sequence, and below them the joint curves.
 
     Joints are drawn in the unit of the training data, radians as degrees. What was executed was the simulated arm's: its joints are in rad,
@@ -47,7 +64,13 @@ def figure(plan: Plan, trial: Trial | None, path: str | os.PathLike[str], *, joi
 
     Args:
         joint_unit: the unit of all joints, where the data told (`storage.runs.read_body`).
+        commands: what the robot is to be sent, drawn over what is imagined (`robot.limits.commands_of`).
+        commands_hz: rows a second of the commands; by default the plan's.
     """
+    if commands is not None:
+        sent = _Overlay("commanded", commands, commands_hz or plan.rate_hz)
+    else:
+        sent = _Overlay("executed", trial.joints, plan.rate_hz) if trial is not None else None
     num_rows = 2 if trial is None else 3
     height, width = plan.frames.shape[1:3]
     row_inches = WIDTH_INCHES * 0.86 / NUM_COLUMNS * height / width + 0.24
@@ -68,7 +91,7 @@ def figure(plan: Plan, trial: Trial | None, path: str | os.PathLike[str], *, joi
         len(strips), 1, drawing, left=0.1, right=0.82, hspace=0.12, height_ratios=strip_inches,
         top=(foot_inches + curves_inches) / total, bottom=foot_inches / total,
     )  # fmt: skip
-    _draw_curves(drawing, lower, strips, plan, trial)
+    _draw_curves(drawing, lower, strips, plan, sent)
     return save(drawing, path)
 
 
@@ -101,11 +124,14 @@ def learning_curve(log_jsonl_path: str | os.PathLike[str], path: str | os.PathLi
 
 
 def _draw_title(drawing: Figure, plan: Plan, trial: Trial | None, total_inches: float) -> None:
-    title, colour = f"Imagined: arrives at {plan.arrival_step / plan.rate_hz:.1f} s", INK
+    at = f"at {plan.arrival_step / plan.rate_hz:.1f} s"
+    title, colour = (f"In doubt: nearest {at}", FAILURE) if plan.verdict is Verdict.IN_DOUBT else (f"Imagined: arrives {at}", INK)
     if trial is not None:
         title = f"{'Success' if trial.success else 'Failure'}: {trial.deviation_m * 100:.1f} cm from the goal"
         colour = SUCCESS if trial.success else FAILURE
     details = f"arrival step {plan.arrival_step} of {len(plan)}  ·  prediction error {plan.error:.4g}"
+    if plan.unexplained is not None and plan.verdict:
+        details += f" ({100 * plan.unexplained:.1f} % of staying, {plan.verdict.value})"
     details += f"  ·  planned in {plan.seconds:.1f} s"
     drawing.text(0.1, 1 - 0.16 / total_inches, title, fontsize=14, weight="bold", color=colour, va="top")
     drawing.text(0.98, 1 - 0.2 / total_inches, details, fontsize=9.5, color=MUTED, va="top", ha="right")
@@ -164,14 +190,14 @@ def _strips(joint_names: tuple[str, ...], joint_unit: str | None, *, executed: b
     return [strip for strip in (turns, _Strip("gripper (m)", slides, inches=1.0)) if strip.joints]
 
 
-def _draw_curves(drawing: Figure, grid: GridSpec, strips: list[_Strip], plan: Plan, trial: Trial | None) -> None:
+def _draw_curves(drawing: Figure, grid: GridSpec, strips: list[_Strip], plan: Plan, sent: _Overlay | None) -> None:
     colours = matplotlib.colormaps["tab10" if len(plan.joint_names) <= 10 else "tab20"].colors  # pyright: ignore[reportAttributeAccessIssue]
     top: Axes | None = None
     for row, strip in enumerate(strips):
         axes = drawing.add_subplot(grid[row, 0], sharex=top)
         top = top or axes
         for joint in strip.joints:
-            _draw_joint(axes, joint, strip.in_degrees, colours[joint % len(colours)], plan, trial)
+            _draw_joint(axes, joint, strip.in_degrees, colours[joint % len(colours)], plan, sent)
         axes.axvline(plan.arrival_step / plan.rate_hz, color=ARRIVAL, linewidth=1.2, linestyle=":")
         axes.set_ylabel(strip.label, fontsize=10)
         axes.grid(color="#e6eaee", linewidth=0.7)
@@ -181,26 +207,26 @@ def _draw_curves(drawing: Figure, grid: GridSpec, strips: list[_Strip], plan: Pl
         if row == len(strips) - 1:
             axes.set_xlabel("time (s)", fontsize=10)
     assert top is not None, "a plan without joints"
-    _draw_legend(top, colours, plan, trial)
+    _draw_legend(top, colours, plan, sent)
 
 
-def _draw_joint(axes: Axes, joint: int, in_degrees: bool, colour: object, plan: Plan, trial: Trial | None) -> None:
-    """Planned up to arrival as a broad line, beyond it as a faint one; executed dashed on top."""
+def _draw_joint(axes: Axes, joint: int, in_degrees: bool, colour: object, plan: Plan, sent: _Overlay | None) -> None:
+    """Imagined up to arrival as a broad line, beyond it as a faint one; what was commanded or executed dashed on top."""
     drawn = np.degrees if in_degrees else np.asarray
     planned = drawn(plan.joints[:, joint])
     times, arrival = np.arange(len(planned)) / plan.rate_hz, plan.arrival_step
     axes.plot(times[: arrival + 1], planned[: arrival + 1], color=colour, linewidth=2.6, alpha=0.55)
     axes.plot(times[arrival:], planned[arrival:], color=colour, linewidth=1.2, alpha=0.25)
-    if trial is not None:
-        executed = drawn(trial.joints[:, joint])
-        axes.plot(np.arange(len(executed)) / plan.rate_hz, executed, color=colour, linewidth=1.3, linestyle=(0, (4, 2)))
+    if sent is not None:
+        way = drawn(sent.joints[:, joint])
+        axes.plot(np.arange(len(way)) / sent.rate_hz, way, color=colour, linewidth=1.3, linestyle=(0, (4, 2)))
 
 
-def _draw_legend(axes: Axes, colours: tuple[object, ...], plan: Plan, trial: Trial | None) -> None:
+def _draw_legend(axes: Axes, colours: tuple[object, ...], plan: Plan, sent: _Overlay | None) -> None:
     names = plan.joint_names
-    handles = [Line2D([], [], color=MUTED, linewidth=2.6, alpha=0.55, label="planned")]
-    if trial is not None:
-        handles.append(Line2D([], [], color=MUTED, linewidth=1.3, linestyle=(0, (4, 2)), label="executed"))
+    handles = [Line2D([], [], color=MUTED, linewidth=2.6, alpha=0.55, label="imagined")]
+    if sent is not None:
+        handles.append(Line2D([], [], color=MUTED, linewidth=1.3, linestyle=(0, (4, 2)), label=sent.label))
     handles.append(Line2D([], [], color=ARRIVAL, linewidth=1.2, linestyle=":", label="arrival"))
     handles += [Line2D([], [], color=colours[i % len(colours)], linewidth=2.6, label=name) for i, name in enumerate(names)]  # pyright: ignore[reportArgumentType]
     size, spacing = (9, 0.5) if len(names) <= 10 else (6, 0.2)
@@ -223,7 +249,7 @@ def quiet(axes: Axes) -> None:
 def save(drawing: Figure, path: str | os.PathLike[str]) -> Path:
     """The drawing as a PNG, whole or not at all."""
     path = Path(path)
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         drawing.savefig(unfinished, format="png")
     return path
 

@@ -18,7 +18,7 @@ from jaxtyping import Shaped, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from preimage.records import Demonstration, Plan, Trial
-from preimage.storage.atomic_write import whole_file
+from preimage.storage.atomic_write import atomic_write
 
 PANEL_PIXELS = 256
 """Frames are enlarged by the largest whole factor that keeps their longer side within this; larger frames stay as they are."""
@@ -89,7 +89,7 @@ def film(plan: Plan, trial: Trial | None, path: str | os.PathLike[str], *, recor
     write = _WRITERS.get(path.suffix.lower())
     if write is None:
         raise ValueError(f"path ends in {path.suffix or 'no suffix'!r}, a film can be written as .mp4 or .gif: {path}")
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         write(unfinished, _pictures(_panels(plan, trial, recorded), plan), plan.rate_hz)
     return path
 
@@ -206,3 +206,5 @@ def _colours(pixels: UInt8[np.ndarray, "N H W 3"], num_colours: int) -> list[int
 
 
 _WRITERS: dict[str, Callable[[Path, Iterator[Image.Image], float], None]] = {".mp4": _write_mp4, ".gif": _write_gif}
+FILM_SUFFIXES = tuple(_WRITERS)
+"""How the name of a film may end."""

@@ -15,7 +15,7 @@ from typing import Any
 from urllib.parse import quote
 
 from preimage.records import number_of
-from preimage.storage.atomic_write import whole_file
+from preimage.storage.atomic_write import atomic_write
 
 SUCCESS_MEANS = {
     "reach": "the hand ends within 4 cm of the goal position",
@@ -27,7 +27,7 @@ SUCCESS_MEANS = {
 _REQUIRED = ("task", "goals", "success", "interval", "deviation_cm", "rows", "baselines")
 _BASELINES: dict[str, str] = {
     "nearest_demonstration": "nearest demonstration: replay the one whose last frame is most like the goal",
-    "recalled_joints": "memory alone: straight through the joints expected where a gripper switches and at the goal, nothing imagined",
+    "memory_alone": "memory alone: straight through the joints expected where a gripper switches and at the goal, nothing imagined",
     "prior_mean": "no goal: the same model, its intention at the prior mean",
     "do_nothing": "do nothing: the arm stays where it starts",
 }
@@ -79,7 +79,7 @@ def page(
         _cases(cases, path.parent),
         _all_goals(results["rows"]),
     ]
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_text(document(title, "\n".join(body)), encoding="utf-8")
     return path
 

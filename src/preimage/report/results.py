@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from preimage.report.charts import growth_chart, intention_map
-from preimage.storage.atomic_write import whole_file
+from preimage.storage.atomic_write import atomic_write
 
 Results = Sequence[Mapping[str, Any]]
 BASELINES = ("nearest_demonstration", "behaviour_cloning", "recalled_joints", "prior_mean", "do_nothing")
@@ -29,7 +29,7 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     parts += [pictures(found, figures, "map", intention_map, INTENTIONS), modalities_table(found)]
     parts += [held_out_table(found), speed_table(found)]
     parts += [pictures(found, figures, "growth", lambda one, to: growth_chart(one["growth"], to), GROWTH), cells_table(evaluations)]
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_text("\n\n".join(part for part in parts if part) + "\n")
     return path
 
@@ -45,7 +45,7 @@ def fill_readme(folder: str | os.PathLike[str], readme: str | os.PathLike[str]) 
         return
     _, _, rows = reach_table(evaluations_among(read_results(folder))).partition("\n\n")
     before, after = text.split(BEGIN)[0], text.split(END)[1]
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_text(f"{before}{BEGIN}\n{rows}\n{END}{after}")
 
 

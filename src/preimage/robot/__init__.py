@@ -1,6 +1,6 @@
-"""The simulated robot: an arm with a camera, tasks for it, and a tutor who demonstrates them."""
+"""The simulated robot: an arm with a camera, tasks for it, and a demonstrator for them."""
 
-from preimage.robot.arm import Arm, Furniture, Witness
+from preimage.robot.arm import Arm, GroundTruth, Workspace
 from preimage.robot.camera import Camera
 from preimage.robot.demonstrator import record, show
 from preimage.robot.kinematics import forward_kinematics, inverse_kinematics
@@ -14,13 +14,13 @@ __all__ = [
     "TASKS",
     "Arm",
     "Camera",
-    "Furniture",
+    "GroundTruth",
     "Judgement",
     "MoveObject",
     "Reach",
     "ReachTwo",
     "Task",
-    "Witness",
+    "Workspace",
     "forward_kinematics",
     "inverse_kinematics",
     "record",

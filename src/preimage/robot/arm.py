@@ -9,11 +9,11 @@
 
 What stands around it decides how many joints it moves:
 
->>> arm.furnish(Furniture(table_size_m=1.0, circles=("circle",), has_object=True, has_gripper=True))
+>>> arm.set_up(Workspace(table_size_m=1.0, circles=("circle",), has_object=True, has_gripper=True))
 >>> arm.joint_names
 ('joint1', 'joint2', 'joint4', 'joint6', 'gripper')
 >>> arm.reset(arm.home, {"circle": (0.4, 0.2, 0.0), "object": (0.4, -0.2, 0.05)})
->>> arm.witness().object_m
+>>> arm.ground_truth().object_m
 array([ 0.4 , -0.2 ,  0.05])
 """
 
@@ -60,8 +60,8 @@ OBJECT_GREY = 0.05
 
 
 @dataclass(frozen=True)
-class Furniture:
-    """What stands around the arm, and which hand it wears for it."""
+class Workspace:
+    """What stands around the arm, and which hand it has for it."""
 
     table_size_m: float = 0.74
     """Side of the square table, whose near edge is x = 0 (m)."""
@@ -82,8 +82,8 @@ class Furniture:
 
 
 @dataclass(frozen=True, eq=False)
-class Witness:
-    """What is true at one moment. The judge is told; camera and encoders are not."""
+class GroundTruth:
+    """The true state at one moment. The judge of a task sees it; camera and encoders do not."""
 
     end_effector_m: Float[np.ndarray, " 3"]
     """The point between the finger tips (m)."""
@@ -101,7 +101,7 @@ class Arm:
     """A position-controlled arm at its table, seen by a fixed camera."""
 
     def __init__(self) -> None:
-        self._build(Furniture())
+        self._build(Workspace())
         self.reset(self.home)
 
     @property
@@ -139,10 +139,10 @@ class Arm:
         """The point between the finger tips, in the frame of the table (m)."""
         return self._data.site("end_effector").xpos.copy()
 
-    def furnish(self, furniture: Furniture) -> None:
-        """The arm stands, at home, among this furniture; nothing happens if it does already."""
-        if furniture != self._furniture:
-            self._build(furniture)
+    def set_up(self, workspace: Workspace) -> None:
+        """The arm stands at home in this workspace; nothing changes where it does already."""
+        if workspace != self._workspace:
+            self._build(workspace)
             self.reset(self.home)
 
     def reset(
@@ -153,7 +153,7 @@ class Arm:
         """The arm is at rest at these joints (rad; gripper: m), and nothing is left of what it did before.
 
         Args:
-            positions_m: where the centres of the things of the furniture are now (m); what is not named is at the origin.
+            positions_m: where the centres of the objects of the workspace are now (m); what is not named is at the origin.
         """
         joints = self._checked(joints)
         mujoco.mj_resetData(self._model, self._data)
@@ -187,31 +187,31 @@ class Arm:
         sensed[: len(ACTIVE_JOINTS)] = self._data.qpos[self._positions]
         return Percept(self._renderer.frame(self._data), sensed)
 
-    def witness(self) -> Witness:
+    def ground_truth(self) -> GroundTruth:
         """What is true of the hand and the object now."""
         commands = self._data.ctrl[self._actuators]
         commanded_m = forward_kinematics(commands[: len(ACTIVE_JOINTS)])
         gripper_m = float(commands[-1]) if self._has_gripper else 0.0
-        if not self._furniture.has_object:
-            return Witness(self.end_effector_m, commanded_m, gripper_m)
+        if not self._workspace.has_object:
+            return GroundTruth(self.end_effector_m, commanded_m, gripper_m)
         thing = self._data.body(OBJECT)
-        return Witness(self.end_effector_m, commanded_m, gripper_m, thing.xpos.copy(), float(thing.xmat[8]))
+        return GroundTruth(self.end_effector_m, commanded_m, gripper_m, thing.xpos.copy(), float(thing.xmat[8]))
 
     @property
     def _has_gripper(self) -> bool:
-        return self._furniture.has_gripper
+        return self._workspace.has_gripper
 
-    def _build(self, furniture: Furniture) -> None:
-        self._furniture = furniture
-        self._model = _compile(furniture)
+    def _build(self, workspace: Workspace) -> None:
+        self._workspace = workspace
+        self._model = _compile(workspace)
         self._data = mujoco.MjData(self._model)
-        self._renderer = Renderer(furniture.camera, self._model)
+        self._renderer = Renderer(workspace.camera, self._model)
         self._positions = [self._model.joint(name).qposadr[0] for name in ACTIVE_JOINTS]
         self._actuators = [self._model.actuator(name).id for name in self.joint_names]
 
     def _place(self, name: str, position_m: Sequence[float]) -> None:
-        if name not in self._furniture.things:
-            raise ValueError(f"positions_m places {name!r}; on the table are {', '.join(self._furniture.things) or 'no things'}")
+        if name not in self._workspace.things:
+            raise ValueError(f"positions_m places {name!r}; on the table are {', '.join(self._workspace.things) or 'no things'}")
         if name == OBJECT:
             self._data.joint(OBJECT).qpos[:3] = position_m
         else:
@@ -230,17 +230,17 @@ class Arm:
         return array
 
 
-def _compile(furniture: Furniture) -> mujoco.MjModel:
-    """The model of arm.xml with its hand and its furniture in place."""
+def _compile(workspace: Workspace) -> mujoco.MjModel:
+    """The model of arm.xml with its hand, in its workspace."""
     spec = mujoco.MjSpec.from_string(resources.files("preimage.robot").joinpath("arm.xml").read_text(encoding="utf-8"))
-    half_m = furniture.table_size_m / 2
+    half_m = workspace.table_size_m / 2
     table = spec.geom("table")
     table.pos[0] = half_m
     table.size[:2] = half_m
-    _choose_hand(spec, furniture.has_gripper)
-    for name in furniture.circles:
-        _add_circle(spec, name, furniture.circle_grey)
-    if furniture.has_object:
+    _choose_hand(spec, workspace.has_gripper)
+    for name in workspace.circles:
+        _add_circle(spec, name, workspace.circle_grey)
+    if workspace.has_object:
         _add_object(spec)
     return spec.compile()
 

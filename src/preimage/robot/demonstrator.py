@@ -1,4 +1,4 @@
-"""The second of the paper's two phases: the robot replays what the hand showed and records what it senses.
+"""The second of the paper's two phases: the robot replays the demonstrator's motion and records what it senses.
 
 >>> from preimage.robot.reach import Reach
 >>> demonstrations = record(Arm(), Reach(), count=1, seed=0)
@@ -11,11 +11,11 @@ from collections.abc import Callable
 import numpy as np
 
 from preimage.records import Demonstration, Percept, Scene
-from preimage.robot.arm import Arm, Witness
+from preimage.robot.arm import Arm, GroundTruth
 from preimage.robot.task import Task
 
 MAX_TRIES = 100
-"""Scenes tried for one demonstration before the task is held to be beyond the tutor."""
+"""Scenes tried for one demonstration before the task is held to be beyond the demonstrator."""
 
 
 def record(arm: Arm, task: Task, *, count: int, seed: int, progress: Callable[[int, int], None] | None = None) -> list[Demonstration]:
@@ -46,7 +46,7 @@ def record(arm: Arm, task: Task, *, count: int, seed: int, progress: Callable[[i
 
 
 def show(arm: Arm, task: Task, scene: Scene, rng: np.random.Generator) -> Demonstration:
-    """One demonstration in a scene, solved or not: a hand shows the way, then the robot goes it alone and records."""
+    """One demonstration in a scene, solved or not: the demonstrator guides the arm, then the robot replays the motion alone and records."""
     return _replay(arm, task, scene, rng)[0]
 
 
@@ -60,15 +60,15 @@ def _show_until_solved(arm: Arm, task: Task, rng: np.random.Generator) -> Demons
     raise ValueError(f"no demonstration of {task.name} succeeded in {MAX_TRIES} scenes")
 
 
-def _replay(arm: Arm, task: Task, scene: Scene, rng: np.random.Generator) -> tuple[Demonstration, list[Witness]]:
-    """What the robot sensed along the way that the hand showed, and what the judge saw of it."""
-    path = task.hand_path(rng, scene)
+def _replay(arm: Arm, task: Task, scene: Scene, rng: np.random.Generator) -> tuple[Demonstration, list[GroundTruth]]:
+    """What the robot sensed along the demonstrated path, and what the judge saw of it."""
+    path = task.demonstration_path(rng, scene)
     task.lay_out(arm, scene)
-    percepts, course = [arm.sense()], [arm.witness()]
+    percepts, course = [arm.sense()], [arm.ground_truth()]
     for joints in path[1:]:
         arm.move(joints, seconds=1 / task.rate_hz)
         percepts.append(arm.sense())
-        course.append(arm.witness())
+        course.append(arm.ground_truth())
     return _demonstration(arm, task, scene, percepts), course
 
 

@@ -1,5 +1,6 @@
-"""Let the arm do what was imagined, in physics and within its limits: blind, or with an eye on what it senses."""
+"""Execution of what was imagined, in physics and within limits: blind (closed loop), or with what the robot senses (open loop)."""
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -11,6 +12,11 @@ from preimage.robot.limits import Limiter, Limits, within_limits
 
 SETTLE_S = 0.5
 """Time the arm is given to come to rest on the last set point before the task is judged."""
+
+ENCODER_MARGIN = 0.1
+"""Joints are sensed at most this far beyond their limits (rad; gripper: m): stops give way a little."""
+FARTHEST_M = 10.0
+"""No thing of a task lies farther from the arm (m)."""
 
 Policy = Callable[[Percept], Float[np.ndarray, " J"]]
 """What to command for the next step (rad; gripper: m), given what is sensed now."""
@@ -26,7 +32,7 @@ def execute(plan: Plan, arm: Arm, scene: Scene, *, task: Task | None = None) -> 
         ValueError: the plan is for other joints than the task's, or the scene is of a task that is not known.
     """
     task = task or task_of(scene)
-    arm.furnish(task.furniture)
+    arm.set_up(task.workspace)
     if plan.joint_names != arm.joint_names:
         raise ValueError(f"the plan moves {', '.join(plan.joint_names)}, {task.name} needs {', '.join(arm.joint_names)}")
     return play(plan.joints[: plan.arrival_step + 1], plan.rate_hz, arm, scene, task=task)
@@ -93,8 +99,30 @@ def task_of(scene: Scene) -> Task:
     return TASKS[scene.task]
 
 
+def validate_scene(scene: Scene, task: Task, arm: Arm) -> None:
+    """Raises ValueError where a scene cannot be laid out: a place or a joint is missing, or far from where the arm is."""
+    known = TASKS.get(task.name)
+    for name in positions_of(task.name) if known else ():
+        position = scene.positions_m.get(name)
+        if position is None or not 2 <= len(position) <= 3:
+            raise ValueError(f"the scene of {task.name} has no place for the {name}: record it, or plan, again")
+        if not all(abs(each) <= FARTHEST_M for each in position):
+            raise ValueError(f"the scene of {task.name} has the {name} at {position} m, out of reach: record it, or plan, again")
+    if len(scene.start_joints) != len(arm.joint_names):
+        raise ValueError(f"the scene of {task.name} starts with {len(scene.start_joints)} joints, the arm has {', '.join(arm.joint_names)}")
+    for name, angle, (low, high) in zip(arm.joint_names, scene.start_joints, arm.joint_limits, strict=True):
+        if not low - ENCODER_MARGIN <= angle <= high + ENCODER_MARGIN:
+            raise ValueError(f"the scene of {task.name} starts with {name} at {angle:g}, outside {low:g} to {high:g}: plan again")
+
+
+@functools.cache
+def positions_of(task: str) -> tuple[str, ...]:
+    """Names of the places that a scene of a task has."""
+    return tuple(TASKS[task].sample(np.random.default_rng(0)).positions_m)
+
+
 def limits_of(arm: Arm) -> Limits:
-    """What the arm may be commanded among the furniture where it stands."""
+    """What the arm may be commanded in the workspace where it stands."""
     return Limits(arm.joint_names, arm.joint_units, arm.joint_limits[:, 0], arm.joint_limits[:, 1], arm.velocity_limits)
 
 
@@ -102,9 +130,11 @@ class Stage:
     """A scene laid out for one trial, in which everything that happens is written down."""
 
     def __init__(self, task: Task, arm: Arm, scene: Scene) -> None:
+        arm.set_up(task.workspace)
+        validate_scene(scene, task, arm)
         task.lay_out(arm, scene)
         self._task, self._arm, self._scene = task, arm, scene
-        self._percepts, self.course = [arm.sense()], [arm.witness()]
+        self._percepts, self.course = [arm.sense()], [arm.ground_truth()]
 
     @property
     def percept(self) -> Percept:
@@ -115,7 +145,7 @@ class Stage:
         """The arm went where it was commanded, and what it sensed then is kept."""
         self._arm.move(command, seconds)
         self._percepts.append(self._arm.sense())
-        self.course.append(self._arm.witness())
+        self.course.append(self._arm.ground_truth())
 
     def judge(self) -> Judgement:
         """What the task says of the course so far."""

@@ -1,7 +1,7 @@
 """The tasks as Gymnasium environments: `import preimage.robot.gym`, then `gymnasium.make("preimage/Reach-v0")`.
 
-An episode is one scene. What is seen is the frame, the joints and the goal frame, the last that a tutor saw who solved the same scene;
-what is done is the joints to command for the next step, as in a plan (rad; gripper: m). The arm follows within its speed, as in
+An episode is one scene. What is observed is the frame, the joints and the goal frame, the last one of a demonstration that solved the
+same scene; an action is the joints to command for the next step, as in a plan (rad; gripper: m). The arm follows within its speed, as in
 `robot.execution`. The task's own judge ends the episode, with a reward of 1, once the scene is solved and the end effector is at rest: to
 pass through a goal is not to reach it. Until then the reward is 0, and what the judge sees is in `info`.
 
@@ -26,11 +26,9 @@ from jaxtyping import Float, UInt8
 
 from preimage.records import Demonstration
 from preimage.robot import TASKS, Arm, record
-from preimage.robot.execution import Stage, limits_of
+from preimage.robot.execution import ENCODER_MARGIN, Stage, limits_of
 from preimage.robot.limits import Limiter
 
-ENCODER_MARGIN = 0.1
-"""Joints are sensed at most this far beyond their limits (rad; gripper: m): stops give way a little."""
 REST_M = 0.005
 """An end effector that moved less than this since the step before is at rest (m)."""
 PATIENCE = 2
@@ -53,10 +51,10 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
 
     def __init__(self, task: str, render_mode: str | None = None) -> None:
         self._task, self._arm = TASKS[task], Arm()
-        self._arm.furnish(self._task.furniture)
+        self._arm.set_up(self._task.workspace)
         self.metadata = {**self.metadata, "render_fps": self._task.rate_hz}
         self.render_mode = render_mode
-        camera, limits = self._task.furniture.camera, limits_of(self._arm)
+        camera, limits = self._task.workspace.camera, limits_of(self._arm)
         pictures = Box(0, 255, (camera.height, camera.width, 1), np.uint8)
         joints = Box(limits.lower - ENCODER_MARGIN, limits.upper + ENCODER_MARGIN, dtype=np.float64)
         self.observation_space = Dict({"frame": pictures, "joints": joints, "goal": pictures})
@@ -64,11 +62,11 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
         self._shown: Demonstration | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
-        """A new scene is laid out, and a tutor has shown the goal; it depends on the seed alone."""
+        """Lay out a new scene, whose goal is that of a demonstration; it depends on the seed alone."""
         super().reset(seed=seed)
         (self._shown,) = record(self._arm, self._task, count=1, seed=int(self.np_random.integers(2**31)))
         scene = self._shown.scene
-        assert scene is not None, "the tutor of the simulated arm knows its scene"
+        assert scene is not None, "demonstrations of the simulated arm know their scene"
         self._stage = Stage(self._task, self._arm, scene)
         self._limiter = Limiter(limits_of(self._arm), np.array(scene.start_joints), 1 / self._task.rate_hz)
         return self._look(), self._judge()[1]

@@ -8,8 +8,6 @@
 ('yaw kept above -1 and below 1 rad in 1 step', 'yaw slowed to 2 rad/s in 2 steps')
 """
 
-import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +18,13 @@ from jaxtyping import Float
 from preimage.data.sequences import LIMIT_MARGIN
 from preimage.network.config import Sensors
 from preimage.records import Plan, Shown, number_of
+from preimage.storage.reading import LARGEST_NUMBER, parse_json
 
 UNIT = "units"
 """What the joints' unit is called where nobody said which it is."""
 KEYS = ("lower", "upper", "velocity", "step")
+MAX_ADDED_STEPS = 10_000
+"""Steps that limits may add to a way: more would be a unit that is wrong, or a robot that was not meant to move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +40,10 @@ class Limits:
     """In units."""
     velocity: Float[np.ndarray, " J"]
     """In units a second."""
+
+    def __post_init__(self) -> None:
+        if not all(np.isfinite(each).all() for each in (self.lower, self.upper, self.velocity)):
+            raise ValueError("limits hold numbers that are not finite: give lower, upper and velocity of every joint")
 
 
 def limits_seen(sensors: Sensors, shown: Sequence[Shown], *, unit: str | None = None) -> Limits:
@@ -64,9 +69,10 @@ def read_limits(path: Path, others: Limits, *, rate_hz: float) -> Limits:
         ValueError: the file is missing, no such JSON, names another joint, or a limit leaves no room.
     """
     try:
-        named = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path} is no JSON file that can be read: give {{joint: {{lower, upper, velocity or step}}}}") from error
+        named = parse_json(path)
+    except ValueError as error:
+        text = f"{path} is no JSON file that can be read ({error}): give {{joint: {{lower, upper, velocity or step}}}}"
+        raise ValueError(text) from error
     if not isinstance(named, dict) or not all(isinstance(each, dict) for each in named.values()):
         raise ValueError(f"{path} holds no limits by joint: give {{joint: {{lower, upper, velocity or step}}}}")
     lower, upper, velocity = others.lower.copy(), others.upper.copy(), others.velocity.copy()
@@ -74,8 +80,9 @@ def read_limits(path: Path, others: Limits, *, rate_hz: float) -> Limits:
         if name not in others.joint_names:
             raise ValueError(f"{path} limits {name}, the plan moves {', '.join(others.joint_names)}")
         for key, value in given.items():
-            if key not in KEYS or isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise ValueError(f"{path} has {key} {value!r} for {name}: give numbers for {', '.join(KEYS)}")
+            is_number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST_NUMBER
+            if key not in KEYS or not is_number:
+                raise ValueError(f"{path} has {key} {value!r:.40} for {name}: give numbers for {', '.join(KEYS)}")
         joint = others.joint_names.index(name)
         lower[joint], upper[joint] = given.get("lower", lower[joint]), given.get("upper", upper[joint])
         speeds = [given[key] * steps for key, steps in (("velocity", 1.0), ("step", rate_hz)) if key in given]
@@ -85,24 +92,58 @@ def read_limits(path: Path, others: Limits, *, rate_hz: float) -> Limits:
     return Limits(others.joint_names, others.units, lower, upper, velocity)
 
 
-def commands_of(plan: Plan, limits: Limits) -> tuple[Float[np.ndarray, "S J"], tuple[str, ...]]:
-    """What to command so that a robot follows a plan up to its arrival within limits, and a sentence for each limit that changed it."""
+def commands_of(plan: Plan, limits: Limits, *, rate_hz: float | None = None) -> tuple[Float[np.ndarray, "S J"], tuple[str, ...]]:
+    """What to command so that a robot follows a plan up to its arrival within limits, and a sentence for each limit that changed it.
+
+    Args:
+        rate_hz: commands a second; by default the plan's steps. Between two steps the way is straight, at the speed that leads from one to
+            the other.
+
+    Raises:
+        ValueError: the plan holds a joint that is not finite, or the limits would add too many steps.
+    """
+    rate_hz = rate_hz or plan.rate_hz
     joints = plan.joints[: plan.arrival_step + 1].copy()
     if plan.start.joints is not None:
         joints[0] = plan.start.joints  # where the robot stands, not where it imagines to stand
-    return within_limits(joints, limits, period_s=1 / plan.rate_hz)
+    joints = interpolate(joints, plan.rate_hz, rate_hz)
+    commands, limited = within_limits(joints, limits, period_s=1 / rate_hz)
+    if added := len(commands) - len(joints):
+        limited = *limited, f"the limits add {number_of(added, 'step')} ({added / rate_hz:.1f} s) to {number_of(len(joints), 'step')}"
+    return commands, limited
+
+
+def interpolate(joints: Float[np.ndarray, "T J"], rate_hz: float, new_rate_hz: float) -> Float[np.ndarray, "S J"]:
+    """The same way at another rate: straight from each step to the next, and the last one always among the rows.
+
+    >>> interpolate(np.array([[0.0], [1.0], [1.0]]), 2.5, 5.0)[:, 0].tolist()
+    [0.0, 0.5, 1.0, 1.0, 1.0]
+    """
+    if new_rate_hz == rate_hz:
+        return joints
+    last = len(joints) - 1
+    rows = np.arange(int(np.ceil(last * new_rate_hz / rate_hz - 1e-9)) + 1)
+    steps = np.minimum(rows * rate_hz / new_rate_hz, last)
+    return np.stack([np.interp(steps, np.arange(last + 1), way) for way in joints.T], axis=-1)
 
 
 def within_limits(joints: Float[np.ndarray, "T J"], limits: Limits, *, period_s: float) -> tuple[Float[np.ndarray, "S J"], tuple[str, ...]]:
     """The commands that follow `joints` within the limits, and a sentence for each limit that changed them.
 
     A step that would be too fast is shortened and made up for in the steps after it; where the end is not reached in time, steps are
-    added (S >= T). The first row is where the arm is.
+    added (S >= T). The first row is where the arm is, also where that is outside the limits: from there it comes in at limited speed.
+
+    Raises:
+        ValueError: a joint is not finite, or more than MAX_ADDED_STEPS would have to be added.
     """
+    if not np.isfinite(joints).all():
+        step, joint = np.argwhere(~np.isfinite(joints))[0]
+        raise ValueError(f"{limits.joint_names[joint]} is {joints[step, joint]} at step {step}: a robot is commanded finite joints only")
     limiter = Limiter(limits, joints[0], period_s)
     commands = [limiter.command]
     for wanted in joints[1:]:
         commands.append(limiter.follow(wanted))
+    limiter.validate_added_steps()
     while not limiter.has_arrived:
         commands.append(limiter.catch_up())
     return np.stack(commands), limiter.sentences()
@@ -112,10 +153,11 @@ class Limiter:
     """Follows the joints that are wanted, one step at a time, as well as the limits allow, and counts where they did not."""
 
     def __init__(self, limits: Limits, start: Float[np.ndarray, " J"], period_s: float) -> None:
-        self._limits = limits
+        self._limits, self._start = limits, start
         self._reach = limits.velocity * period_s
         self._num_kept, self._num_slowed = np.zeros((2, len(self._reach)), int)
-        self.command = self._wanted = self._allowed(start)
+        self.command = start
+        self._wanted = np.clip(start, limits.lower, limits.upper)
 
     @property
     def has_arrived(self) -> bool:
@@ -134,16 +176,29 @@ class Limiter:
         self.command = self.command + np.clip(missing, -self._reach, self._reach)
         return self.command
 
+    def validate_added_steps(self) -> None:
+        """Raises ValueError where it takes too many steps from the last command to the joints that were wanted last."""
+        with np.errstate(divide="ignore", over="ignore"):
+            num_steps = np.abs(self._wanted - self.command) / self._reach
+        slowest = int(np.argmax(num_steps))
+        if num_steps[slowest] > MAX_ADDED_STEPS:
+            name, unit, velocity = (each[slowest] for each in (self._limits.joint_names, self._limits.units, self._limits.velocity))
+            needed = f"{name} would need {num_steps[slowest]:.3g} more steps at {velocity:g} {unit}/s"
+            raise ValueError(f"{needed}, and at most {MAX_ADDED_STEPS} are added: give it a higher velocity")
+
     def sentences(self) -> tuple[str, ...]:
-        """A sentence for each limit that changed a command."""
-        limits, kept, slowed = self._limits, [], []
-        numbers = limits.lower, limits.upper, limits.velocity, self._num_kept.tolist(), self._num_slowed.tolist()
-        for name, unit, low, high, velocity, num_kept, num_slowed in zip(limits.joint_names, limits.units, *numbers, strict=True):
+        """A sentence for each limit that changed a command, and for each joint that began outside of them."""
+        limits, outside, kept, slowed = self._limits, [], [], []
+        numbers = limits.lower, limits.upper, limits.velocity, self._start, self._num_kept.tolist(), self._num_slowed.tolist()
+        for name, unit, low, high, velocity, start, num_kept, num_slowed in zip(limits.joint_names, limits.units, *numbers, strict=True):
+            if not low <= start <= high:
+                way_in = f"from where it comes in at {velocity:g} {unit}/s or slower"
+                outside.append(f"{name} stands at {start:g} {unit}, outside {low:g} to {high:g}, {way_in}")
             if num_kept:
                 kept.append(f"{name} kept above {low:g} and below {high:g} {unit} in {number_of(num_kept, 'step')}")
             if num_slowed:
                 slowed.append(f"{name} slowed to {velocity:g} {unit}/s in {number_of(num_slowed, 'step')}")
-        return *kept, *slowed
+        return *outside, *kept, *slowed
 
     def _allowed(self, wanted: Float[np.ndarray, " J"]) -> Float[np.ndarray, " J"]:
         allowed = np.clip(wanted, self._limits.lower, self._limits.upper)

@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from preimage.records import Scene
-from preimage.robot.arm import CIRCLE_RADIUS_M, GRIPPER_OPEN_M, OBJECT, OBJECT_HEIGHT_M, Arm, Furniture, Witness
-from preimage.robot.hand import first_safe, minimum_jerk
+from preimage.robot.arm import CIRCLE_RADIUS_M, GRIPPER_OPEN_M, OBJECT, OBJECT_HEIGHT_M, Arm, GroundTruth, Workspace
 from preimage.robot.kinematics import HOME_M, from_polar, grasping_joints, to_polar
+from preimage.robot.motion import first_safe, minimum_jerk
 from preimage.robot.task import (
     LARGE_TABLE_CAMERA,
     LARGE_TABLE_M,
@@ -37,7 +37,7 @@ from preimage.robot.task import (
 
 CIRCLES = ("circle", "other_circle")
 """Names of the circles in a scene: the object belongs into the first."""
-FURNITURE = Furniture(LARGE_TABLE_M, LARGE_TABLE_CAMERA, circles=CIRCLES[:1], has_object=True, has_gripper=True)
+WORKSPACE = Workspace(LARGE_TABLE_M, LARGE_TABLE_CAMERA, circles=CIRCLES[:1], has_object=True, has_gripper=True)
 APART_M = 0.18
 """Object and circles lie at least this far from each other (m)."""
 
@@ -48,7 +48,7 @@ RELEASE_M = 0.083
 HOVER_M, CARRY_M = 0.16, 0.2
 """Heights of the end effector before the grasp and while it carries (m)."""
 GRASP_SD_M, RELEASE_SD_M = 0.003, 0.008
-"""Standard deviations of where the tutor closes and opens the hand, along x and along y (m)."""
+"""Standard deviations of where the demonstrator closes and opens the hand, along x and along y (m)."""
 DETOUR_SD = 0.02
 """Standard deviation of the bump in a swing: in radius (m), yaw (rad) and, upwards only, height (m)."""
 
@@ -83,17 +83,17 @@ class MoveObject:
     """Steps a second."""
     tolerance_m: float = CIRCLE_RADIUS_M
     """Success needs the centre of the object nearer to the circle's centre than this at the end (m)."""
-    furniture: Furniture = FURNITURE
+    workspace: Workspace = WORKSPACE
 
     @classmethod
     def with_two_circles(cls) -> Self:
         """The object belongs into one of two circles, and nothing but the last frame tells into which."""
-        return cls(furniture=replace(FURNITURE, circles=CIRCLES))
+        return cls(workspace=replace(WORKSPACE, circles=CIRCLES))
 
     @property
     def name(self) -> str:
         """As on the command line and in `Scene.task`."""
-        return "move-object" if len(self.furniture.circles) == 1 else "two-circles"
+        return "move-object" if len(self.workspace.circles) == 1 else "two-circles"
 
     @property
     def num_steps(self) -> tuple[int, int]:
@@ -106,9 +106,9 @@ class MoveObject:
         """A scene whose object and circles lie anywhere on the part of the table where the arm can grasp, well apart."""
         home = grasping_joints(HOME_M)
         start = np.append(home + rng.normal(scale=START_SD, size=len(home)), GRIPPER_OPEN_M)
-        names = (OBJECT, *self.furniture.circles)
+        names = (OBJECT, *self.workspace.circles)
         while True:
-            places = np.stack([sample_place(rng, self.furniture.table_size_m, LARGE_TABLE_MARGIN_M) for _ in names])
+            places = np.stack([sample_place(rng, self.workspace.table_size_m, LARGE_TABLE_MARGIN_M) for _ in names])
             apart = min(apart_m(one, other) for one, other in itertools.combinations(places, 2))
             if apart >= APART_M and self.is_in_reach(places).all():
                 break
@@ -118,13 +118,13 @@ class MoveObject:
 
     def is_in_reach(self, places_m: Float[np.ndarray, "*batch 2"]) -> Bool[np.ndarray, "*batch"]:
         """Whether the hand, tilted as for a grasp, can reach these places at every height it needs."""
-        return in_reach_at(places_m, np.linspace(GRASP_M, CARRY_M, 7).tolist(), grasping_joints, self.furniture.table_size_m)
+        return in_reach_at(places_m, np.linspace(GRASP_M, CARRY_M, 7).tolist(), grasping_joints, self.workspace.table_size_m)
 
     def lay_out(self, arm: Arm, scene: Scene) -> None:
         """The object stands and the circles lie in their places, the arm is at rest at its start with its hand open."""
         lay_out(self, arm, scene)
 
-    def hand_path(self, rng: np.random.Generator, scene: Scene) -> Float[np.ndarray, "T 5"]:
+    def demonstration_path(self, rng: np.random.Generator, scene: Scene) -> Float[np.ndarray, "T 5"]:
         """Joints (rad; gripper: m), step by step, along which a human hand leads the arm to move the object into the circle.
 
         Raises:
@@ -135,7 +135,7 @@ class MoveObject:
                 raise ValueError(f"the {name} at {scene.positions_m[name]} m is out of reach: take a scene of MoveObject.sample")
         return first_safe(lambda: _lead(rng, scene), rate_hz=self.rate_hz)
 
-    def judge(self, scene: Scene, course: Sequence[Witness]) -> Judgement:
+    def judge(self, scene: Scene, course: Sequence[GroundTruth]) -> Judgement:
         """Whether the object was lifted and stands, at the end, released and upright in its circle; the deviation is its centre's.
 
         The details, distances being horizontal:
@@ -187,25 +187,25 @@ def succeeds_within(details: Mapping[str, float], allowance_m: float) -> bool:
 
 def reachable_share(task: MoveObject) -> float:
     """Share of the whole table on which object and circles are placed, counted on a grid."""
-    return float(task.is_in_reach(places_on_grid(task.furniture.table_size_m)).mean())
+    return float(task.is_in_reach(places_on_grid(task.workspace.table_size_m)).mean())
 
 
 def _succeeds_strictly(details: Mapping[str, float]) -> bool:
     return all(details[name] for name in ("grasped", "upright", "inside", "released"))
 
 
-def _object_m(moment: Witness) -> Float[np.ndarray, " 3"]:
-    assert moment.object_m is not None, "the furniture has no object"
+def _object_m(moment: GroundTruth) -> Float[np.ndarray, " 3"]:
+    assert moment.object_m is not None, "the workspace has no object"
     return moment.object_m
 
 
-def _first(course: Sequence[Witness], start: int | None, *, is_open: bool) -> int | None:
+def _first(course: Sequence[GroundTruth], start: int | None, *, is_open: bool) -> int | None:
     """The first moment from `start` on at which the hand is commanded open, or closed; None if there is none."""
     moments = range(len(course) if start is None else start, len(course))
     return next((moment for moment in moments if (course[moment].gripper_m >= HALF_OPEN_M) == is_open), None)
 
 
-def _hand_error_m(course: Sequence[Witness], moment: int | None, place_m: Sequence[float]) -> float:
+def _hand_error_m(course: Sequence[GroundTruth], moment: int | None, place_m: Sequence[float]) -> float:
     return NEVER_M if moment is None else apart_m(course[moment].commanded_m, place_m)
 
 

@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Float
 
 from preimage.records import Scene
-from preimage.robot.arm import Arm, Furniture, Witness
-from preimage.robot.hand import Manner, lead_safely
+from preimage.robot.arm import Arm, GroundTruth, Workspace
 from preimage.robot.kinematics import home_joints, reaching_joints
+from preimage.robot.motion import MotionStyle, guide_safely
 from preimage.robot.task import START_SD, Judgement, at_height, lay_out, places_on_grid, sample_place
 
 MARGIN_M = 0.02
 """Goals keep this far from the edge of the table (m)."""
-MANNER = Manner()
+MOTION = MotionStyle()
 
 
 @final
@@ -39,12 +39,12 @@ class Reach:
     """Success is an end effector nearer to the goal than this (m)."""
     goal_height_m: float = 0.03
     """Height of the goals above the table (m)."""
-    furniture: Furniture = field(default_factory=Furniture)
+    workspace: Workspace = field(default_factory=Workspace)
 
     @property
     def num_steps(self) -> tuple[int, int]:
         """Lengths of the shortest and of the longest demonstration that can be."""
-        return MANNER.steps
+        return MOTION.steps
 
     def sample(self, rng: np.random.Generator) -> Scene:
         """A scene whose goal lies anywhere on the part of the table that the arm can reach."""
@@ -56,8 +56,8 @@ class Reach:
         """The table stands and the arm is at rest at its start; the goal itself cannot be seen."""
         lay_out(self, arm, scene)
 
-    def hand_path(self, rng: np.random.Generator, scene: Scene) -> Float[np.ndarray, "T J"]:
-        """Joint angles (rad), step by step, along which a human hand leads the arm to the goal.
+    def demonstration_path(self, rng: np.random.Generator, scene: Scene) -> Float[np.ndarray, "T J"]:
+        """Joint angles (rad), step by step, along which a demonstrator guides the arm to the goal.
 
         Raises:
             ValueError: the goal is out of reach.
@@ -65,21 +65,21 @@ class Reach:
         goal = reaching_joints(np.array(scene.positions_m["goal"]))
         if np.isnan(goal).any():
             raise ValueError(f"the goal at {scene.positions_m['goal']} m is out of reach: take a scene of Reach.sample")
-        return lead_safely(rng, np.array(scene.start_joints), goal, rate_hz=self.rate_hz, manner=MANNER)
+        return guide_safely(rng, np.array(scene.start_joints), goal, rate_hz=self.rate_hz, style=MOTION)
 
-    def judge(self, scene: Scene, course: Sequence[Witness]) -> Judgement:
+    def judge(self, scene: Scene, course: Sequence[GroundTruth]) -> Judgement:
         """The distance in space between the end effector, at last, and the goal, and whether it is within the tolerance."""
         deviation_m = float(np.linalg.norm(np.subtract(course[-1].end_effector_m, scene.positions_m["goal"])))
         return Judgement(deviation_m, success=deviation_m < self.tolerance_m)
 
     def _sample_goal(self, rng: np.random.Generator) -> tuple[float, ...]:
         while True:
-            goal = at_height(sample_place(rng, self.furniture.table_size_m, MARGIN_M), self.goal_height_m)
+            goal = at_height(sample_place(rng, self.workspace.table_size_m, MARGIN_M), self.goal_height_m)
             if not np.isnan(reaching_joints(goal)).any():
                 return tuple(goal.tolist())
 
 
 def reachable_share(task: Reach) -> float:
     """Share of the whole table above which the arm can reach a goal, counted on a grid."""
-    goals = at_height(places_on_grid(task.furniture.table_size_m), task.goal_height_m)
+    goals = at_height(places_on_grid(task.workspace.table_size_m), task.goal_height_m)
     return float(1 - np.isnan(reaching_joints(goals)).any(axis=-1).mean())

@@ -1,6 +1,6 @@
-"""What a task is: a family of scenes, the hand that shows how they are solved, and the judge of the outcome.
+"""What a task is: a family of scenes, a demonstrator who shows how they are solved, and a judge of the outcome.
 
-A judge looks at the whole course of a trial, one `Witness` a moment, as some tasks are about what happens on the way.
+A judge looks at the whole course of a trial, one `GroundTruth` per moment, as some tasks are about what happens on the way.
 """
 
 import dataclasses
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from preimage.records import Scene
-from preimage.robot.arm import Arm, Furniture, Witness
+from preimage.robot.arm import Arm, GroundTruth, Workspace
 from preimage.robot.camera import Camera
 
 START_SD = 0.005
@@ -41,7 +41,7 @@ class Judgement:
 
 @runtime_checkable
 class Task(Protocol):
-    """A family of scenes, the hand that shows how they are solved, and the judge of the outcome."""
+    """A family of scenes, a demonstrator who shows how they are solved, and a judge of the outcome."""
 
     @property
     def name(self) -> str:
@@ -59,7 +59,7 @@ class Task(Protocol):
         ...
 
     @property
-    def furniture(self) -> Furniture: ...
+    def workspace(self) -> Workspace: ...
 
     @property
     def num_steps(self) -> tuple[int, int]:
@@ -71,14 +71,14 @@ class Task(Protocol):
         ...
 
     def lay_out(self, arm: Arm, scene: Scene) -> None:
-        """The furniture stands, the things of the scene lie in their places, the arm is at rest at its start."""
+        """Set up the workspace, put the objects of the scene in their places, and bring the arm to rest at its start."""
         ...
 
-    def hand_path(self, rng: np.random.Generator, scene: Scene) -> Float[np.ndarray, "T J"]:
-        """Joints (rad; gripper: m), step by step, along which a human hand leads the arm to solve the scene."""
+    def demonstration_path(self, rng: np.random.Generator, scene: Scene) -> Float[np.ndarray, "T J"]:
+        """Joints (rad; gripper: m), step by step, along which a demonstrator guides the arm to solve the scene."""
         ...
 
-    def judge(self, scene: Scene, course: Sequence[Witness]) -> Judgement:
+    def judge(self, scene: Scene, course: Sequence[GroundTruth]) -> Judgement:
         """How well the scene was solved by what happened from the first moment to the last."""
         ...
 
@@ -90,18 +90,18 @@ def with_frames(task: AnyTask, size: int) -> AnyTask:
     """The same task seen by the same camera in square frames of another size.
 
     >>> from preimage.robot.reach import Reach
-    >>> with_frames(Reach(), 128).furniture.camera.height
+    >>> with_frames(Reach(), 128).workspace.camera.height
     128
     """
-    camera = dataclasses.replace(task.furniture.camera, height=size, width=size)
-    furniture = dataclasses.replace(task.furniture, camera=camera)
-    return dataclasses.replace(task, furniture=furniture)  # pyright: ignore[reportArgumentType], every task is a dataclass
+    camera = dataclasses.replace(task.workspace.camera, height=size, width=size)
+    workspace = dataclasses.replace(task.workspace, camera=camera)
+    return dataclasses.replace(task, workspace=workspace)  # pyright: ignore[reportArgumentType], every task is a dataclass
 
 
 def lay_out(task: Task, arm: Arm, scene: Scene) -> None:
-    """The furniture of a task stands, its things lie where the scene says, the arm is at rest at its start."""
-    arm.furnish(task.furniture)
-    arm.reset(scene.start_joints, {name: scene.positions_m[name] for name in task.furniture.things})
+    """Set up the workspace of a task, put its objects where the scene says, and bring the arm to rest at its start."""
+    arm.set_up(task.workspace)
+    arm.reset(scene.start_joints, {name: scene.positions_m[name] for name in task.workspace.things})
 
 
 def sample_place(rng: np.random.Generator, table_size_m: float, margin_m: float) -> Float[np.ndarray, " 2"]:

@@ -7,12 +7,12 @@
     shown.npz            what is kept of the demonstrations: joints and last frames, for the baseline that replays one of them
     README.md            the model card
 
-Files are written beside their place and then moved into it, so that a killed process or a full disk leaves the former file whole.
+Files are written beside their place and then moved into it, so that a killed process or a full disk leaves the former file as it was.
+What is read is checked once, here: names, shapes, ranges, and that every number is finite.
 """
 
 import json
-import zipfile
-import zlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import resources
@@ -22,18 +22,23 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file
-from safetensors.torch import save as to_bytes
+from safetensors.torch import load
 
 from preimage.data.view import View, seen_by
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN
-from preimage.records import Body, Demonstration, Shown, number_of
+from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Body, Demonstration, Shown, number_of
 from preimage.storage import hub
-from preimage.storage.atomic_write import whole_file, write_json
+from preimage.storage.atomic_write import atomic_write, write_json
 from preimage.storage.bundled import BUNDLED
+from preimage.storage.checksums import is_damaged_safetensors, safetensors_with_checksum
+from preimage.storage.reading import read_arrays, read_json, record_of
 
 Record = TypeVar("Record")
+
+WEIGHTS = "model.safetensors"
+NETWORK_KEYS = ("model", "sensors", "num_sequences")
+"""What of config.json builds the network."""
 
 
 def find_run(name: str | Path) -> Path:
@@ -67,28 +72,32 @@ def write_weights(folder: Path, model: PDVMRNN, dtype: torch.dtype = torch.float
     """Write model.safetensors: weights and intention table, in `dtype` (half precision halves the file); all else as it is."""
     learned = dict(model.named_parameters())
     tensors = {name: (value.to(dtype) if name in learned else value).contiguous() for name, value in model.state_dict().items()}
-    with whole_file(folder / "model.safetensors") as path:
-        path.write_bytes(to_bytes(tensors))
+    with atomic_write(folder / WEIGHTS) as path:
+        path.write_bytes(safetensors_with_checksum(tensors))
 
 
 def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Write tensors by name."""
-    with whole_file(path) as draft:
-        draft.write_bytes(to_bytes({name: value.cpu().contiguous() for name, value in tensors.items()}))
+    """Write tensors by name, with a checksum."""
+    with atomic_write(path) as draft:
+        draft.write_bytes(safetensors_with_checksum({name: value.cpu().contiguous() for name, value in tensors.items()}))
 
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
     """The tensors of a file, by name.
 
     Raises:
-        ValueError: it is missing or broken.
+        ValueError: it is missing, broken, or holds a number that is not finite.
     """
+    if not path.is_file():
+        raise ValueError(f"{path.parent} has no {path.name}: finish its training with --resume, or plan as paper or regression")
+    content = path.read_bytes()
     try:
-        return load_file(path)
-    except FileNotFoundError as error:
-        raise ValueError(f"{path.parent} has no {path.name}: finish its training with --resume, or plan as paper or regression") from error
-    except (SafetensorError, OSError) as error:
-        raise ValueError(f"{path} cannot be read ({error}): restore it or train again") from error
+        tensors = {} if is_damaged_safetensors(content) else load(content)
+    except SafetensorError:
+        tensors = {}
+    if not tensors or not all(bool(value.isfinite().all()) for value in tensors.values()):
+        raise ValueError(f"{path} is damaged: restore it or train again")
+    return tensors
 
 
 def write_shown(folder: Path, demonstrations: Sequence[Demonstration]) -> None:
@@ -100,7 +109,7 @@ def write_shown(folder: Path, demonstrations: Sequence[Demonstration]) -> None:
         "rates_hz": np.array([demonstration.rate_hz for demonstration in demonstrations]),
     }
 
-    with whole_file(folder / "shown.npz") as path, path.open("wb") as file:
+    with atomic_write(folder / "shown.npz") as path, path.open("wb") as file:
         np.savez_compressed(file, **arrays)
 
 
@@ -108,48 +117,91 @@ def read_shown(folder: Path) -> list[Shown]:
     """What the run keeps of its demonstrations.
 
     Raises:
-        ValueError: it is missing or broken.
+        ValueError: it is missing or broken, or not of the joints and frames of the run.
     """
     path = folder / "shown.npz"
     try:
-        with path.open("rb") as file, np.load(file) as arrays:
-            ways = np.split(arrays["joints"].astype(np.float64), np.cumsum(arrays["lengths"])[:-1])
-            parts = zip(arrays["last_frames"], ways, arrays["rates_hz"].tolist(), strict=True)
-            return [Shown(*part) for part in parts]
-    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        arrays = read_arrays(path)
+        if missing := [name for name in ("last_frames", "joints", "lengths", "rates_hz") if name not in arrays]:
+            raise ValueError(f"it has no {missing[0]}")
+        last_frames, joints, lengths, rates_hz = (arrays[name] for name in ("last_frames", "joints", "lengths", "rates_hz"))
+        sensors = read_settings(Sensors, folder, "sensors")
+        shape = sensors.height, sensors.width, sensors.channels
+        if last_frames.dtype != np.uint8 or last_frames.shape[1:] != shape:
+            raise ValueError(f"its frames are {last_frames.dtype} of {last_frames.shape[1:]}, the run's uint8 of {shape}")
+        if joints.ndim != 2 or joints.shape[1] != sensors.num_joints:
+            raise ValueError(f"its joints are {joints.shape}, the run has {sensors.num_joints}")
+        if not lengths.shape == rates_hz.shape == (len(last_frames),) or not len(last_frames):
+            raise ValueError(f"it has {len(last_frames)} frames, lengths of {lengths.shape} and rates of {rates_hz.shape}")
+        if lengths.dtype.kind not in "iu" or lengths.min() < 2 or lengths.sum() != len(joints):
+            raise ValueError(f"its lengths do not add up to {len(joints)} steps of joints")
+        if not (rates_hz.min() >= LOWEST_RATE_HZ and rates_hz.max() <= HIGHEST_RATE_HZ):
+            raise ValueError(f"its rates are {rates_hz.min():g} to {rates_hz.max():g} Hz")
+    except ValueError as error:
         raise ValueError(f"{path} cannot be read ({error}): restore it or train again") from error
+    ways = np.split(joints.astype(np.float64), np.cumsum(lengths)[:-1])
+    return [Shown(*part) for part in zip(last_frames, ways, rates_hz.tolist(), strict=True)]
 
 
 def read_config(folder: Path) -> dict[str, Any]:
     """The config.json of a run.
 
     Raises:
-        ValueError: it is missing or no JSON.
+        ValueError: it is missing, no JSON, or holds a number that is not finite.
     """
     path = find_run(folder) / "config.json"
     try:
-        config = json.loads(path.read_text())
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not JSON ({error}): train again or restore the file") from error
-    if not isinstance(config, dict):
-        raise ValueError(f"{path} holds a {type(config).__name__}, not the settings of a run: train again or restore the file")
-    return config
+        return read_json(path)
+    except ValueError as error:
+        raise ValueError(f"{path} holds no settings of a run ({error}): restore it or train again") from error
 
 
 def made_from(folder: Path) -> dict[str, Any]:
-    """Size of a run's network, number of its demonstrations, seed, seconds and machine of its training, as results tell them.
+    """Size of a run's network, number of its demonstrations, seed, seconds and machine of its training, as results report them.
 
-    What its config.json, or its log, does not tell is None, or, of the seconds, not there.
+    What its config.json, or its log, does not say is None, or, of the seconds, not there.
     """
     config = read_config(folder)
     made = {name: config.get(name) for name in ("size", "num_demonstrations")}
-    made |= {"training_seed": config.get("train", {}).get("seed"), "trained_on": config.get("provenance", {}).get("machine")}
+    made |= {"training_seed": part_of(config, "train").get("seed"), "trained_on": part_of(config, "provenance").get("machine")}
     return made | ({"training_seconds": training_seconds(folder)} if (folder / "log.jsonl").is_file() else {})
+
+
+def part_of(config: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """What config.json holds under a key, where it holds anything."""
+    part = config.get(key)
+    return part if isinstance(part, Mapping) else {}
 
 
 def training_seconds(folder: Path) -> float:
     """Seconds of all updates of a run."""
-    return round(sum(json.loads(line)["seconds"] for line in (folder / "log.jsonl").read_text().splitlines()), 1)
+    return round(sum(line["seconds"] for line in read_log(folder)), 1)
+
+
+def read_log(folder: Path) -> list[dict[str, Any]]:
+    """The lines of a run's log, but for a last one that was cut short by a kill.
+
+    Raises:
+        ValueError: the log is missing, or a line of it is none of a training.
+    """
+    path = folder / "log.jsonl"
+    if not path.is_file():
+        raise ValueError(f"{folder} has no log.jsonl, of which the model card tells: restore it or train again")
+    texts = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines: list[dict[str, Any]] = []
+    for number, text in enumerate(texts, start=1):
+        try:
+            line = json.loads(text)
+            if not all(isinstance(line[name], int | float) for name in ("update", "visual", "proprioceptive", "seconds")):
+                raise ValueError("no number")
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            if number == len(texts) > 1:
+                break
+            raise ValueError(f"{path} is damaged in line {number}: restore it or train again") from error
+        lines.append(line)
+    if not lines:
+        raise ValueError(f"{path} holds no update yet: train for a while first")
+    return lines
 
 
 def read_settings(record: type[Record], folder: Path, key: str) -> Record:
@@ -159,10 +211,28 @@ def read_settings(record: type[Record], folder: Path, key: str) -> Record:
         ValueError: it holds none, or those of another version.
     """
     config = read_config(folder)
+    if key not in config:
+        raise ValueError(f"{folder}/config.json has no {key} settings: train again")
     try:
-        return tuples(record, config[key])
-    except (KeyError, TypeError, AttributeError) as error:
+        found = record_of(record, config[key])
+        if isinstance(found, Sensors):
+            validate_sensors(found)
+        return found
+    except ValueError as error:
         raise ValueError(f"{folder}/config.json has no {key} settings that are known here ({error}): train again") from error
+
+
+def validate_sensors(sensors: Sensors) -> None:
+    """Raises ValueError where sensors have no frame or no joints, a joint has no range, or two have one name."""
+    if min(sensors.height, sensors.width) < 1 or not 1 <= sensors.channels <= 4:
+        raise ValueError(f"frames of {sensors.height}x{sensors.width}x{sensors.channels}")
+    if not len(sensors.joint_names) == len(sensors.joint_lower) == len(sensors.joint_upper) > 0:
+        raise ValueError("joint_names, joint_lower and joint_upper are not equally many")
+    if len(set(sensors.joint_names)) < len(sensors.joint_names):
+        raise ValueError("joint_names names one twice")
+    for name, low, high in zip(sensors.joint_names, sensors.joint_lower, sensors.joint_upper, strict=True):
+        if not low < high:
+            raise ValueError(f"{name} goes from {low:g} to {high:g}")
 
 
 def read_view(name: str | Path) -> View:
@@ -178,17 +248,24 @@ def read_body(name: str | Path) -> Body:
     """All joints of the recordings that the run learned from, those that it does not move too.
 
     Raises:
-        ValueError: there is no such run, or its config.json is broken.
+        ValueError: there is no such run, its config.json is broken, or it does not say where a joint is held.
     """
-    return kept_by(name, Body, "body", lambda sensors: Body(sensors.joint_names))
+    folder = find_run(name)
+    body = kept_by(folder, Body, "body", lambda sensors: Body(sensors.joint_names))
+    moved = read_settings(Sensors, folder, "sensors").joint_names
+    if missing := [joint for joint in moved if joint not in body.joint_names]:
+        raise ValueError(f"{folder}/config.json moves {missing[0]}, which is none of the joints of its body: train again")
+    if unheld := [joint for joint in body.joint_names if joint not in moved and joint not in body.held]:
+        raise ValueError(f"{folder}/config.json does not say where {unheld[0]} is held: train again")
+    return body
 
 
-def kept_by(name: str | Path, record: type[Record], key: str, told_by: Callable[[Sensors], Record]) -> Record:
-    """What a run keeps under a key; of one that was not trained by `preimage train`, or before it kept this, what its sensors tell."""
+def kept_by(name: str | Path, record: type[Record], key: str, otherwise: Callable[[Sensors], Record]) -> Record:
+    """What a run keeps under a key; of one that was not trained by `preimage train`, or before it kept this, what its sensors say."""
     folder = find_run(name)
     if key in read_config(folder):
         return read_settings(record, folder, key)
-    return told_by(read_settings(Sensors, folder, "sensors"))
+    return otherwise(read_settings(Sensors, folder, "sensors"))
 
 
 def load_model(name: str | Path) -> PDVMRNN:
@@ -201,17 +278,50 @@ def load_model(name: str | Path) -> PDVMRNN:
         ValueError: there is no such run, or its files are broken or do not fit together.
     """
     folder = find_run(name)
-    config = read_config(folder)
+    if not (folder / WEIGHTS).is_file():
+        raise ValueError(f"{folder} has no {WEIGHTS} yet: the training stopped before its first checkpoint")
+    content = (folder / WEIGHTS).read_bytes()
+    if is_damaged_safetensors(content):
+        raise ValueError(f"{folder / WEIGHTS} is damaged, its checksum is another: restore it or train again")
     try:
-        model = PDVMRNN(tuples(ModelConfig, config["model"]), tuples(Sensors, config["sensors"]), config["num_sequences"])
-        tensors = load_file(folder / "model.safetensors")
-        model.load_state_dict({name: value.float() for name, value in tensors.items()})
-    except FileNotFoundError as error:
-        raise ValueError(f"{folder} has no model.safetensors yet: the training stopped before its first checkpoint") from error
-    except (KeyError, TypeError, AttributeError, SafetensorError, RuntimeError) as error:
-        reason = " ".join(str(error).split()[:40])
+        model_config, sensors = read_settings(ModelConfig, folder, "model"), read_settings(Sensors, folder, "sensors")
+        num_sequences = read_config(folder).get("num_sequences")
+        if not isinstance(num_sequences, int) or isinstance(num_sequences, bool):
+            raise ValueError(f"num_sequences is {num_sequences!r}")
+        validate_size(model_config, sensors, num_sequences, num_bytes=len(content))
+        model = PDVMRNN(model_config, sensors, num_sequences)
+        tensors = load(content)
+    except (ValueError, SafetensorError) as error:
+        reason = str(error) if isinstance(error, ValueError) else f"{WEIGHTS} is no safetensors file"
         raise ValueError(f"{folder} cannot be loaded ({reason}): its files are broken or from another version; train again") from error
+    if unlike := tensors_unlike(model, tensors):
+        raise ValueError(f"{folder} cannot be loaded ({unlike}): its files are broken or from another version; train again")
+    model.load_state_dict({name: value.float() for name, value in tensors.items()})
     return model.requires_grad_(False).eval()
+
+
+def validate_size(config: ModelConfig, sensors: Sensors, num_sequences: int, *, num_bytes: int) -> None:
+    """Raises ValueError where a network is larger than the file of its weights could hold, before there is room made for it."""
+    sizes = *config.vision_channels, *config.motor_units, config.top_channels, config.units_per_joint, num_sequences
+    if min(sizes) < 1 or not LOWEST_RATE_HZ <= config.rate_hz <= HIGHEST_RATE_HZ:
+        raise ValueError("its network has a size below 1, or a rate out of range")
+    recurrent = 4 * sum(size**2 for size in (*config.vision_channels, *config.motor_units))  # four gates from a layer to itself
+    frame, table = math.prod((sensors.height, sensors.width, sensors.channels)), num_sequences * (config.intention_dimensions or 1)
+    if 2 * max(recurrent, frame, table, sensors.num_joints * config.units_per_joint) > num_bytes:
+        raise ValueError(f"its network is larger than {WEIGHTS}")
+
+
+def tensors_unlike(model: PDVMRNN, tensors: Mapping[str, torch.Tensor]) -> str | None:
+    """The first reason why tensors are not the weights of a model; None where they are."""
+    wanted = model.state_dict()
+    for name in [*wanted, *tensors]:
+        if name not in tensors or name not in wanted:
+            return f"{WEIGHTS} has {'no' if name in wanted else 'an unknown'} {name}"
+        if tensors[name].shape != wanted[name].shape:
+            return f"{name} is {tuple(tensors[name].shape)}, the network's {tuple(wanted[name].shape)}"
+        if not bool(tensors[name].isfinite().all()):
+            return f"{name} holds numbers that are not finite"
+    return None
 
 
 def from_pretrained(name_or_folder: str | Path, *, revision: str | None = None) -> PDVMRNN:
@@ -254,18 +364,10 @@ def push_to_hub(run: str | Path, repo_id: str, *, license: str | None = None, pr
     return hub.upload(folder, repo_id, license=license, private=private)
 
 
-def tuples(record: type[Record], fields: Mapping[str, Any]) -> Record:
-    """Build a dataclass from JSON, where its tuples have become lists."""
-    return record(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
-
-
 def write_card(folder: Path) -> None:
     """Write README.md, the model card: what the model is, what it learned from, how it was made, what it is not for."""
-    config = read_config(folder)
-    if not (folder / "log.jsonl").is_file():
-        raise ValueError(f"{folder} has no log.jsonl, of which the model card tells: restore it or train again")
-    train, provenance = config["train"], config.get("provenance", {})
-    lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    config, lines = read_config(folder), read_log(folder)
+    train, provenance = part_of(config, "train"), part_of(config, "provenance")
     last = lines[-1]
     demonstrations = number_of(config.get("num_demonstrations", config["num_sequences"]), "demonstration")
     minutes = sum(line["seconds"] for line in lines) / 60
@@ -277,18 +379,18 @@ tags: [robotics, predictive-coding, imitation-learning]
 # {folder.name}
 
 A P-DVMRNN (Choi, Matsumoto, Jung, Tani 2018) of size `{config.get("size")}`, trained on {demonstrations}
-of task `{config.get("task")}` (data `{config.get("data", {}).get("fingerprint")}`).
+of task `{config.get("task")}` (data `{part_of(config, "data").get("fingerprint")}`).
 
 | | |
 |---|---|
 | made by | `{provenance.get("command")}` |
-| updates | {last["update"]} of {train["updates"]}, {minutes:.0f} minutes on {provenance.get("machine")} |
+| updates | {last["update"]} of {train.get("updates")}, {minutes:.0f} minutes on {provenance.get("machine")} |
 | error at the end | vision {last["visual"]:.2f}, joints {last["proprioceptive"]:.4f} |
 | commit, day | {provenance.get("commit")}, {provenance.get("date")} |
-| versions | {", ".join(f"{name} {number}" for name, number in provenance.get("versions", {}).items())} |
+| versions | {", ".join(f"{name} {number}" for name, number in part_of(provenance, "versions").items())} |
 
 `config.json` holds all settings and seeds, `log.jsonl` of the run folder the errors update by update. Plan with it by
 `preimage plan RUN --goal IMAGE --out PLAN`. It knows one arm, one camera and one kind of task: those it was shown.
 """
-    with whole_file(folder / "README.md") as path:
-        path.write_text(card)
+    with atomic_write(folder / "README.md") as path:
+        path.write_text(card, encoding="utf-8", errors="backslashreplace")

@@ -21,7 +21,7 @@ class PreimageConfig(PreTrainedConfig):
     goal_key: str = "observation.images.goal"
     """Key of the goal image in the observation."""
     camera: str = ""
-    """Key of the camera in the observation; needed only where there are several."""
+    """Key of the camera in the observation; by default that of the run's recordings, or the only one there is."""
     fps: float = 30.0
     """Calls of `select_action` a second."""
     iterations: int | None = None

@@ -121,9 +121,12 @@ class PreimagePolicy(PreTrainedPolicy):
         if self.config.camera:
             return self.config.camera
         cameras = [key for key in batch if key.startswith("observation.image") and key != self.config.goal_key]
-        if len(cameras) != 1:
-            raise ValueError(f"the observation has the cameras {', '.join(cameras) or 'none'}: name one by --policy.camera")
-        return cameras[0]
+        recorded = self.view.camera
+        named = [key for key in cameras if recorded and key in (recorded, f"observation.images.{recorded}")]
+        if len(named or cameras) != 1:
+            wanted = f", and none is {recorded}, which the run was recorded with" if recorded else ""
+            raise ValueError(f"the observation has the cameras {', '.join(cameras) or 'none'}{wanted}: name one by --policy.camera")
+        return (named or cameras)[0]
 
     def frame_of(self, batch: Batch, key: str, row: int) -> np.ndarray:
         """A picture (B, C, H, W) of 0 to 1 as the run sees it: 8 bits (H, W, C), cropped, scaled and in its colours."""

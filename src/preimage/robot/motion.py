@@ -1,7 +1,7 @@
-"""The first of the paper's two phases: a human hand leads the arm to a goal, in its own time, with detours, pauses and wobble.
+"""The first of the paper's two phases: a demonstrator guides the arm to a goal, unevenly, with detours, pauses and wobble.
 
 >>> start, goal = np.zeros(4), np.full(4, 0.5)
->>> path = lead(np.random.default_rng(0), start, goal)
+>>> path = guide(np.random.default_rng(0), start, goal)
 >>> bool(25 <= len(path) <= 60), np.allclose(path[0], start), np.allclose(path[-1], goal)
 (True, True, True)
 """
@@ -21,7 +21,7 @@ PAUSE_CHANCES = (0.4, 0.4, 0.2)
 PAUSE_STEPS = (2, 5)
 """Shortest and longest pause."""
 SPEED_SD = 0.35
-"""Standard deviation of the hand's speed about its mean, as a share of it."""
+"""Standard deviation of the speed about its mean, as a share of it."""
 WOBBLE_SD = 0.006
 """Standard deviation of the slow wobble (rad)."""
 STEPS_A_WOBBLE = 5
@@ -33,8 +33,8 @@ MAX_TRIES = 1000
 
 
 @dataclass(frozen=True)
-class Manner:
-    """How a hand leads to a place."""
+class MotionStyle:
+    """How a demonstrator guides the arm to a place."""
 
     steps: tuple[int, int] = (25, 60)
     """Shortest and longest path, pauses and rest included."""
@@ -44,20 +44,20 @@ class Manner:
     """Standard deviation of the bump towards a via-point (rad)."""
 
 
-def lead_safely(
+def guide_safely(
     rng: np.random.Generator,
     start: Float[np.ndarray, " J"],
     goal: Float[np.ndarray, " J"],
     *,
     rate_hz: float,
-    manner: Manner = Manner(),
+    style: MotionStyle = MotionStyle(),
 ) -> Float[np.ndarray, "T J"]:
-    """A path of the hand (rad) that the arm can follow: inside the joint limits, above the table, nowhere too fast.
+    """A demonstrated path (rad) that the arm can follow: inside the joint limits, above the table, nowhere too fast.
 
     Raises:
         ValueError: none was found, as start or goal are themselves too low or outside the limits.
     """
-    return first_safe(lambda: lead(rng, start, goal, manner), rate_hz=rate_hz)
+    return first_safe(lambda: guide(rng, start, goal, style), rate_hz=rate_hz)
 
 
 def first_safe(make: Callable[[], Float[np.ndarray, "T J"]], *, rate_hz: float) -> Float[np.ndarray, "T J"]:
@@ -77,18 +77,18 @@ def first_safe(make: Callable[[], Float[np.ndarray, "T J"]], *, rate_hz: float) 
     raise ValueError(f"no safe way there in {MAX_TRIES} tries: the start or the goal is too low, or too far")
 
 
-def lead(
+def guide(
     rng: np.random.Generator,
     start: Float[np.ndarray, " J"],
     goal: Float[np.ndarray, " J"],
-    manner: Manner = Manner(),
+    style: MotionStyle = MotionStyle(),
 ) -> Float[np.ndarray, "T J"]:
-    """Joint angles (rad), step by step, of a hand that leads the arm from start to goal and rests there."""
-    num_steps = int(rng.integers(*manner.steps, endpoint=True))
-    progress = timing(rng, num_steps, rest_steps=manner.rest_steps)[:, None]
+    """Joint angles (rad), step by step, of an arm that is guided from start to goal and rests there."""
+    num_steps = int(rng.integers(*style.steps, endpoint=True))
+    progress = timing(rng, num_steps, rest_steps=style.rest_steps)[:, None]
     still_at_ends = np.sin(np.pi * progress)
     straight = start + (goal - start) * progress
-    return straight + still_at_ends * (_detour(rng, progress, len(goal)) * manner.detour_sd + _wobble(rng, num_steps, len(goal)))
+    return straight + still_at_ends * (_detour(rng, progress, len(goal)) * style.detour_sd + _wobble(rng, num_steps, len(goal)))
 
 
 def timing(rng: np.random.Generator, num_steps: int, *, rest_steps: int) -> Float[np.ndarray, " T"]:
@@ -143,7 +143,7 @@ def _detour(rng: np.random.Generator, progress: Float[np.ndarray, "T 1"], num_jo
 
 
 def _wobble(rng: np.random.Generator, num_steps: int, num_joints: int) -> Float[np.ndarray, "T J"]:
-    """The unsteadiness of the hand (rad)."""
+    """The unsteadiness of the demonstrator (rad)."""
     num_knots = max(4, num_steps // STEPS_A_WOBBLE)
     return WOBBLE_SD * np.stack([_smooth_noise(rng, num_steps, num_knots) for _ in range(num_joints)], axis=1)
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from preimage.storage.atomic_write import whole_file
+from preimage.storage.atomic_write import atomic_write
 
 
 def test_what_was_written_is_there_and_nothing_else(tmp_path):
-    with whole_file(tmp_path / "new" / "a.txt") as path:
+    with atomic_write(tmp_path / "new" / "a.txt") as path:
         path.write_text("all of it")
         assert not (tmp_path / "new" / "a.txt").exists()
     assert (tmp_path / "new" / "a.txt").read_text() == "all of it"
@@ -17,7 +17,7 @@ def test_what_was_written_is_there_and_nothing_else(tmp_path):
 
 def break_off(path: Path, error: BaseException | type[BaseException]) -> None:
     """Write half of a file, then fail."""
-    with whole_file(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_text("ha")
         raise error
 
