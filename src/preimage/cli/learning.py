@@ -23,7 +23,7 @@ from preimage.records import number_of
 from preimage.report import examined_page, learning_curve
 from preimage.robot import TASKS, Arm, record, with_frames
 from preimage.storage.provenance import provenance
-from preimage.storage.runs import find_run, read_config, read_settings, read_view, write_card
+from preimage.storage.runs import episodes_of, find_run, read_config, read_settings, read_view, write_card
 
 
 def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels: int = 64) -> None:
@@ -51,15 +51,23 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels:
     print(f"{number_of(count, 'demonstration')}, {number_of(steps, 'step')} at {TASKS[task].rate_hz:g} Hz, in {out}")
 
 
-def check(data: Positional[Path], out: Path = Path("check.html"), view: View = View()) -> None:  # noqa: B008, frozen
+def check(
+    data: Positional[Path],
+    out: Path = Path("check.html"),
+    episodes: tuple[int, ...] | None = None,
+    without_episodes: tuple[int, ...] = (),
+    view: View = View(),  # noqa: B008, frozen
+) -> None:
     """Say whether recordings can be learned from, what is wrong with them and what would help.
 
     Args:
         data: a LeRobotDataset, v3.0 or v2.1, or a folder of pictures and tables of joints.
         out: page to write, with pictures.
+        episodes: numbers of the episodes to look at; by default all.
+        without_episodes: numbers of episodes to leave out.
         view: how the recordings are looked at.
     """
-    examination = examine(read_episodes(data, view=view))
+    examination = examine(read_episodes(data, view=view, only=episodes, without=without_episodes))
     examined_page(examination, out, title=f"preimage check: {data.name}")
     for finding in examination.findings:
         print(finding)
@@ -77,6 +85,8 @@ def train_(
     device: Device = "auto",
     devices: int = 1,
     num_nodes: int = 1,
+    episodes: tuple[int, ...] | None = None,
+    without_episodes: tuple[int, ...] = (),
     hold_out: int = 0,
     rate_hz: float | None = None,
     intention_dimensions: int | None = None,
@@ -97,6 +107,8 @@ def train_(
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share every update.
         num_nodes: machines with as many processes each, started by torchrun or Slurm.
+        episodes: numbers of the episodes to learn from; by default all. The run keeps them.
+        without_episodes: numbers of episodes to leave out.
         hold_out: every Nth episode is not trained on but kept for `preimage evaluate --data`; 0 trains on all.
         rate_hz: steps a second that the model runs at, instead of the size's own.
         intention_dimensions: numbers that make an intention, instead of the size's own.
@@ -108,9 +120,12 @@ def train_(
         config: how the network learns.
     """
     refuse_out_of_range(config)
-    opened = open_recordings(data, view=read_view(out) if resume else view)
-    recorded, lines = opened.demonstrations, list(opened.told)
-    learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "held_out": every_nth(len(recorded), hold_out)}
+    if resume:
+        view, episodes, without_episodes = read_view(out), episodes_of(out), ()
+    opened = open_recordings(data, view=view, only=episodes, without=without_episodes)
+    recorded, lines = opened.demonstrations, list(opened.summary)
+    learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "episodes": list(opened.episodes)}
+    learned_from |= {"held_out": [opened.episodes[place] for place in every_nth(len(recorded), hold_out)]}
     room = {"intention_dimensions": intention_dimensions, "intention_cost": intention_cost, "intention_layers": intention_layers}
     model_config = sized(size, rate_hz=rate_hz, seen_channels=seen_channels, keypoints=keypoints, **room)
     if resume:
@@ -120,11 +135,11 @@ def train_(
         if asked not in (TrainConfig(), config):
             lines.append(f"{out} goes on with the settings it was started with; those given now are left aside")
     held_out = learned_from.get("held_out", [])
-    demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
+    demonstrations = [one for episode, one in zip(opened.episodes, recorded, strict=True) if episode not in held_out]
     about = {"size": size, "num_demonstrations": len(demonstrations), "data": learned_from}
     crew = gather(devices=devices, num_nodes=num_nodes, device=device)
     about |= {"view": asdict(opened.view), "body": asdict(opened.body)}
-    about |= {"task": task_of(demonstrations), "provenance": provenance(crew.device)}
+    about |= {"task": task_of(demonstrations) or opened.task, "provenance": provenance(crew.device)}
     with bar(shown=crew.first) as progress:
         shown = progress.add_task("training", total=config.updates)
 

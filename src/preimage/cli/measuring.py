@@ -29,6 +29,8 @@ def evaluate_(
     run: Positional[str],
     out: Path = Path("evaluation.json"),
     data: Path | None = None,
+    episodes: tuple[int, ...] | None = None,
+    without_episodes: tuple[int, ...] = (),
     films: Path | None = None,
     task: str = "reach",
     goals: int = 100,
@@ -46,6 +48,8 @@ def evaluate_(
         run: a run folder, the name of a bundled model, or hf:OWNER/NAME of the Hugging Face Hub.
         out: JSON file to write.
         data: recordings to compare with, instead of the simulator; of the data that was trained on, the episodes held out.
+        episodes: numbers of the episodes of --data to compare with; by default, of the data that was trained on, those the run was given.
+        without_episodes: numbers of episodes to leave out.
         films: folder for a few films, recorded beside imagined; for --data.
         task: name of the task.
         goals: how many goals.
@@ -61,7 +65,7 @@ def evaluate_(
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     crew = gather(devices=devices, num_nodes=1, device=device)
     if data is not None:
-        return compare_with(data, run, out, films, config, crew)
+        return compare_with(data, run, out, films, config, crew, only=episodes, without=without_episodes)
     folder = find_run(run)
     model, learned_from, made = load_model(folder).to(crew.device), read_shown(folder), made_from(folder)
     about = {"task": task, "model": run} | made
@@ -92,7 +96,7 @@ def evaluate_(
         print(summary(name, baseline))
 
 
-def compare_with(data: Path, run: str, out: Path, films: Path | None, config: PlanConfig, crew: Crew) -> None:
+def compare_with(data: Path, run: str, out: Path, films: Path | None, config: PlanConfig, crew: Crew, **which: Any) -> None:
     """The part of `evaluate` that needs no simulator."""
     with bar(shown=crew.first) as progress:
         shown = progress.add_task("planning", total=None)
@@ -100,7 +104,7 @@ def compare_with(data: Path, run: str, out: Path, films: Path | None, config: Pl
         def tell(done: int, of_all: int) -> None:
             progress.update(shown, completed=done, total=of_all)
 
-        lines = compare_run(run, data, out=out, film_folder=films, config=config, progress=tell, crew=crew)
+        lines = compare_run(run, data, out=out, film_folder=films, config=config, progress=tell, crew=crew, **which)
     if crew.first:
         print("\n".join(lines))
 

@@ -27,6 +27,7 @@ import tyro
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
+from preimage.data.angles import Wrap
 from preimage.network.config import Sensors
 
 LADDER = 16
@@ -54,7 +55,9 @@ class View:
     """How recordings are looked at."""
 
     camera: str | None = None
-    """Name of the camera; needed only where there are several."""
+    """Name of the camera, or the end of it, as front for observation.images.front; needed only where there are several."""
+    state: tuple[str, ...] | None = None
+    """Names of the columns that hold the joints, one after the other; by default observation.state."""
     joints: tuple[str, ...] | None = None
     """Names of the joints; by default those that move, and all of them in a data set that was written here."""
     crop: tuple[int, int, int, int] | None = None
@@ -65,6 +68,17 @@ class View:
     """Grey or colour; keep takes what there is, and grey that was copied into three channels as grey."""
     recorded: Annotated[tuple[int, int] | None, tyro.conf.Suppress] = None
     """Height and width of the recordings before the crop; the data settle it."""
+    wraps: Annotated[tuple[str, ...] | None, tyro.conf.Suppress] = None
+    """Names of the joints whose readings wrap and are unwrapped (`data.angles`); the data settle it."""
+    turns: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
+    """A full turn of each of them, in its unit."""
+    seams: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
+    """The reading above which the first of an episode is taken, for each of them."""
+
+
+def unwraps(view: View) -> list[Wrap]:
+    """How the view unwraps joints."""
+    return [Wrap(*wrap) for wrap in zip(view.wraps or (), view.turns, view.seams, strict=True)]
 
 
 def default_size(height: int, width: int) -> tuple[int, int]:
@@ -201,4 +215,4 @@ class Eye:
 def seen_by(sensors: Sensors) -> View:
     """The view that shows recordings of a model's own frame size as the model sees them."""
     size = sensors.height, sensors.width
-    return View(joints=sensors.joint_names, size=size, colour=COLOURS.get(sensors.channels, "keep"), recorded=size)
+    return View(joints=sensors.joint_names, size=size, colour=COLOURS.get(sensors.channels, "keep"), recorded=size, wraps=())

@@ -13,7 +13,7 @@ Two ways of different lengths are compared at the same share of the way, from 0 
 [0.0, 0.5, 1.0, 1.5, 2.0]
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from preimage.compute.processes import Crew
-from preimage.data.dataset import fingerprint, load
+from preimage.data.dataset import fingerprint, open_recordings
 from preimage.data.sequences import at_rate
 from preimage.evaluation.evaluate import goal_of, nearest_shown
 from preimage.method.plan import PlanConfig, imagine_library, imagine_without_goal, plan
@@ -31,7 +31,7 @@ from preimage.records import Demonstration, Plan, Shown, number_of
 from preimage.report import film
 from preimage.storage.atomic_write import write_json
 from preimage.storage.provenance import provenance
-from preimage.storage.runs import find_run, load_model, made_from, read_config, read_shown, read_view
+from preimage.storage.runs import episodes_of, find_run, load_model, made_from, read_config, read_shown, read_view
 
 NOTE = "How near what is imagined comes to what was recorded. This is no success rate: no robot moved, and other ways may lead there too."
 NUM_MOMENTS = 50
@@ -146,10 +146,14 @@ def compare_run(
     config: PlanConfig,
     progress: Callable[[int, int], None],
     crew: Crew = Crew(),  # noqa: B008, frozen
+    only: Collection[int] | None = None,
+    without: Collection[int] = (),
 ) -> list[str]:
     """Compare a run with the episodes of a data set that it was not trained on, and write the result as JSON and a few films.
 
     Args:
+        only: numbers of the episodes to compare with; by default all, of the data set that was trained on those the run was given.
+        without: numbers of episodes to leave out.
         progress: called after each episode of this process with the number done and the number of its own.
         crew: the processes that share the episodes, of which only the first writes.
 
@@ -160,8 +164,12 @@ def compare_run(
         ValueError: there is no such run or data set, they do not fit together, or every episode was trained on.
     """
     folder = find_run(run)
-    model, shown, recorded = load_model(folder).to(crew.device), read_shown(folder), load(data, view=read_view(folder))
-    episodes = never_shown(recorded, shown)
+    model, shown = load_model(folder).to(crew.device), read_shown(folder)
+    if only is None and (read_config(folder).get("data") or {}).get("name") == data.name:
+        only = episodes_of(folder)
+    opened = open_recordings(data, view=read_view(folder), only=only, without=without)
+    recorded = dict(zip(opened.episodes, opened.demonstrations, strict=True))
+    episodes = [opened.episodes[place] for place in never_shown(opened.demonstrations, shown)]
     if not episodes:
         raise ValueError(f"{run} was trained on every episode of {data}: train with --hold-out 4, or give other recordings")
     done: list[Compared] = []
@@ -173,7 +181,7 @@ def compare_run(
     chosen = {episode: recorded[episode] for episode in episodes}
     compared = compare(model, chosen, shown=shown, config=config, progress=tell, crew=crew)
     result = result_of_comparison(
-        compared, about_run(run, folder, data, recorded) | {"plan": asdict(config), "provenance": provenance(crew.device)}
+        compared, about_run(run, folder, data, opened.demonstrations) | {"plan": asdict(config), "provenance": provenance(crew.device)}
     )
     if not crew.first:
         return []

@@ -1,9 +1,10 @@
 """What an examination says: findings, each of a kind and a severity, and the words for where they are."""
 
 import enum
-import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
+
+from preimage.records import listed
 
 
 class Severity(enum.Enum):
@@ -57,19 +58,6 @@ class Finding:
 
     def __str__(self) -> str:
         return f"{self.severity.value}: {self.kind.value}: {self.what}{f'; {self.help}' if self.help else ''}"
-
-
-def listed(numbers: Iterable[int], most: int = 6) -> str:
-    """The numbers in words, neighbours drawn together.
-
-    >>> listed([3, 1, 2, 7]), listed(range(0, 40, 2))
-    ('1 to 3, 7', '0, 2, 4, 6, 8, 10 and 14 more')
-    """
-    ordered = sorted(set(numbers))
-    runs = [[number for _, number in run] for _, run in itertools.groupby(enumerate(ordered), lambda pair: pair[1] - pair[0])]
-    words = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
-    left = sum(map(len, runs[most:]))
-    return ", ".join(words[:most]) + (f" and {left} more" if left else "")
 
 
 def in_episodes(episodes: Iterable[int]) -> str:

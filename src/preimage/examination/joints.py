@@ -5,8 +5,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, listed
+from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of
 from preimage.examination.seen import Seen, divisors, spans
+from preimage.records import listed
 
 FULL_TURN_RAD = 2 * np.pi
 """No joint of an arm turns farther to either side without its cable breaking."""
