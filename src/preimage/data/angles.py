@@ -4,10 +4,10 @@ The readings of such a joint lie on a circle. Where the whole set leaves a gap o
 one turn, and two episodes, or a start alone, agree on where the joint stands. Where it leaves none, the starts may, and from its start each
 episode is followed step by step.
 
->>> up, down = np.array([[150.0], [170], [-170]]), np.array([[-160.0], [-178], [175]])
+>>> up, down = np.array([[150.0], [165], [175], [-170]]), np.array([[-160.0], [-178], [175]])
 >>> (wrap,) = find_wraps([up, down], ("wrist",))
 >>> [unwrapped(joints, ("wrist",), [wrap])[:, 0].tolist() for joints in (up, down)]
-[[150.0, 170.0, 190.0], [200.0, 182.0, 175.0]]
+[[150.0, 165.0, 175.0, 190.0], [200.0, 182.0, 175.0]]
 """
 
 from collections.abc import Sequence
