@@ -11,11 +11,12 @@ from preimage.cli.options import refuse_out_of_range
 from preimage.cli.screen import bar, known_task
 from preimage.compute.devices import Device
 from preimage.compute.processes import gather
+from preimage.data.clocks import bounds, is_rate
 from preimage.data.dataset import fingerprint, open_recordings, read_episodes, save
 from preimage.data.view import View
 from preimage.evaluation.experiments import SIZES
 from preimage.evaluation.held_out import every_nth
-from preimage.examination import examine
+from preimage.examination import examine, validate
 from preimage.method.train import Progress as Told
 from preimage.method.train import TrainConfig, train
 from preimage.network.config import ModelConfig
@@ -56,6 +57,7 @@ def check(
     out: Path = Path("check.html"),
     episodes: tuple[int, ...] | None = None,
     without_episodes: tuple[int, ...] = (),
+    rate_hz: float = ModelConfig.rate_hz,
     view: View = View(),  # noqa: B008, frozen
 ) -> None:
     """Say whether recordings can be learned from, what is wrong with them and what would help.
@@ -65,9 +67,13 @@ def check(
         out: page to write, with pictures.
         episodes: numbers of the episodes to look at; by default all.
         without_episodes: numbers of episodes to leave out.
+        rate_hz: steps a second of the model that is going to be trained.
         view: how the recordings are looked at.
     """
-    examination = examine(read_episodes(data, view=view, only=episodes, without=without_episodes))
+    if not is_rate(rate_hz):
+        raise ValueError(f"--rate-hz is {rate_hz}: {bounds()}")
+    recordings = read_episodes(data, view=view, only=episodes, without=without_episodes)
+    examination = examine(recordings, rate_hz=rate_hz, joints_chosen=view.joints is not None)
     examined_page(examination, out, title=f"preimage check: {data.name}")
     for finding in examination.findings:
         print(finding)
@@ -124,6 +130,7 @@ def train_(
         view, episodes, without_episodes = read_view(out), episodes_of(out), ()
     opened = open_recordings(data, view=view, only=episodes, without=without_episodes)
     recorded, lines = opened.demonstrations, list(opened.summary)
+    validate(recorded, opened.episodes)
     learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "episodes": list(opened.episodes)}
     learned_from |= {"held_out": [opened.episodes[place] for place in every_nth(len(recorded), hold_out)]}
     room = {"intention_dimensions": intention_dimensions, "intention_cost": intention_cost, "intention_layers": intention_layers}

@@ -22,6 +22,8 @@ ALL_ROUND = 0.75, 1.02
 """Readings that wrap go through this share of a turn and hardly more."""
 BOTH_ENDS = 0.85
 """Share of a turn that they go through where no episode crosses the seam: both ends of the turn are then near it."""
+APART = 1.5, 2.5
+"""Turns that starts, and readings, go through where each episode was unwrapped by itself: those of another unit go farther."""
 CROSSING = 0.75
 """Share of a turn by which a reading leaps where it wraps."""
 PACES, LEAST_RESIDUAL = 2.0, 0.1
@@ -97,13 +99,13 @@ def _turn_of(readings: Readings) -> float | None:
     for turn in TURNS:
         if ALL_ROUND[0] * turn < span <= ALL_ROUND[1] * turn and (_wraps_within(steps, turn) or _wraps_between(readings, steps, turn)):
             return turn
-        if span > ALL_ROUND[1] * turn and _starts_a_turn_apart(readings, steps, turn):
+        if ALL_ROUND[1] * turn < span <= APART[1] * turn and _starts_a_turn_apart(readings, steps, turn):
             return turn
     return None
 
 
 def _wraps_within(steps: Float[np.ndarray, " steps"], turn: float) -> bool:
-    leaps, others = steps[steps > CROSSING * turn], steps[steps <= CROSSING * turn]
+    leaps, others = steps[steps > CROSSING * turn], steps[steps <= turn / 2]
     most = max(PACES * others.max(initial=0), LEAST_RESIDUAL * turn)
     return len(leaps) > 0 and bool((np.abs(turn - leaps) <= most).any())
 
@@ -118,10 +120,10 @@ def _wraps_between(readings: Readings, steps: Float[np.ndarray, " steps"], turn:
 def _starts_a_turn_apart(readings: Readings, steps: Float[np.ndarray, " steps"], turn: float) -> bool:
     """Each episode was unwrapped by itself: their starts are in two places that are one place of the joint."""
     starts = np.sort([each[0] for each in readings])
-    if len(starts) < 2 or steps.max(initial=0) > turn / 4 or np.diff(starts).max() < turn / 2 or np.ptp(starts) > ALL_ROUND[1] * turn:
+    if len(starts) < 2 or steps.max(initial=0) > turn / 4 or np.diff(starts).max() < turn / 2 or np.ptp(starts) > APART[0] * turn:
         return False
     gap, _ = _largest_gap(starts, turn)
-    return gap > LEAST_GAP_OF_STARTS * turn and turn - gap < np.ptp(starts) / 4
+    return bool(gap > LEAST_GAP_OF_STARTS * turn and turn - gap < np.ptp(starts) / 4)
 
 
 def _wrap(name: str, turn: float, readings: Readings, numbers: Sequence[int]) -> Wrap:

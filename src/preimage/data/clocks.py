@@ -163,9 +163,9 @@ def evenly_rising(recordings: Sequence[Float[np.ndarray, "_T J"]]) -> Bool[np.nd
 def asked_about(names: Sequence[str], recordings: Sequence[Float[np.ndarray, "_T J"]]) -> str | None:
     """A sentence on the joints that rise evenly in every episode, where there are any and nobody has named the joints to learn."""
     rising = evenly_rising(recordings)
-    if not rising.any():
+    clocks = [name for name, evenly in zip(names, rising, strict=True) if evenly and not is_clock(name)]
+    if not clocks:
         return None
-    clocks = [name for name, evenly in zip(names, rising, strict=True) if evenly]
     others = [name for name, evenly in zip(names, rising, strict=True) if not evenly and not is_clock(name)]
     rise = "rises" if len(clocks) == 1 else "rise"
     choice = f"leave it out by --view.joints {' '.join(others)}, or " if others else ""

@@ -271,7 +271,7 @@ def _summary(
     assert view.joints
     steps, rate_hz = sum(map(len, demonstrations)), description.rate_hz
     yield f"{description.version}: {number_of(len(demonstrations), 'episode')}, {number_of(steps, 'step')} at {rate_hz:g} Hz"
-    if [*numbers] != [*range(description.num_episodes)]:
+    if (len(numbers), numbers[-1] + 1) != (description.num_episodes, description.num_episodes):
         yield f"episodes {listed(numbers)}; the data set counts {description.num_episodes}"
     yield _camera_line(demonstrations, description, view)
     left_out = [name for name in description.joint_names if name not in view.joints]

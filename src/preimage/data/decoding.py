@@ -25,7 +25,7 @@ from av.error import FFmpegError
 from PIL import Image
 
 from preimage.data.files import AGAIN, POINTER, is_pointer, validate_file
-from preimage.data.view import Frame, Picture
+from preimage.data.view import Frame, Picture, Viewed
 
 FORMATS = "PNG", "JPEG", "WEBP", "BMP", "TIFF"
 SUFFIXES = ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff"
@@ -75,14 +75,15 @@ def picture(content: bytes | Path | None) -> Frame:
                 if image.width * image.height > MOST_PIXELS:
                     raise NotShown(f"has {image.width}x{image.height} pixels, more than {MOST_PIXELS / 1e6:.0f} million")
                 image.load()
-                return upright(_in_8_bits(image), _orientation(image))
+                frame, orientation = _in_8_bits(image), _orientation(image)
         except NotShown:
             raise
         except (*UNDECODABLE, MemoryError) as error:
             raise NotShown(_cause(content)) from error
+    return upright(frame, orientation)
 
 
-def upright(frame: Frame, orientation: int) -> Frame:
+def upright(frame: Frame, orientation: int) -> Viewed:
     """The frame as it is to be looked at, given the orientation of EXIF (1 to 8; anything else says nothing)."""
     if orientation in (5, 6, 7, 8):
         frame = frame.swapaxes(0, 1)  # (W, H, C)

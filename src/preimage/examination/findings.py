@@ -22,6 +22,10 @@ class Kind(enum.Enum):
     """What is found; the value is its name on the command line and on the page."""
 
     UNREADABLE = "unreadable parts"
+    GAPS = "missing episodes"
+    TASKS = "several tasks"
+    COUNTER = "clocks among the joints"
+    WRAPS = "angles that wrap"
     UNLIKE = "episodes unlike each other"
     LENGTHS = "missing or extra frames"
     DURATION = "unusual duration"
@@ -30,10 +34,13 @@ class Kind(enum.Enum):
     FROZEN = "frozen joints"
     JUMP = "jumps"
     RANGE = "joints out of range"
+    WAITS = "long rest at the start"
     UNREST = "no rest at the end"
     STARTS = "starts differ"
     BLANK = "blank frames"
     STUCK = "camera stuck"
+    STALE = "stale first frames"
+    LAG = "camera lags"
     MOVED = "camera moved"
     DUPLICATES = "duplicate goals"
     UNTOLD = "joints out of sight"
@@ -67,6 +74,18 @@ def in_episodes(episodes: Iterable[int]) -> str:
     """
     chosen = sorted(set(episodes))
     return f"episode{'s' if len(chosen) != 1 else ''} {listed(chosen)}"
+
+
+def leaving_out(episodes: Iterable[int], most: int = 12) -> str:
+    """How to leave episodes out, ready to be copied.
+
+    >>> leaving_out([5, 4])
+    'leave them out (--without-episodes 4 5)'
+    """
+    chosen = sorted(set(episodes))
+    return f"leave {'it' if len(chosen) == 1 else 'them'} out (--without-episodes {' '.join(map(str, chosen[:most]))}" + (
+        f" and {len(chosen) - most} more)" if len(chosen) > most else ")"
+    )
 
 
 def episodes_of(places: Iterable[tuple[int, int]]) -> tuple[int, ...]:
