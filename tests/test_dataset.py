@@ -132,7 +132,7 @@ def test_joints_come_in_the_order_they_are_asked_for(foreign):
         load(foreign, view=View(joints=("lift", "lift")))
 
 
-def test_what_was_settled_shows_the_same_again(foreign):
+def test_what_was_resolved_shows_the_same_again(foreign):
     """A view with nothing left open is a fixed point, and survives JSON."""
     opened = open_recordings(foreign)
     kept = tuples(View, json.loads(json.dumps(asdict(opened.view))))

@@ -10,7 +10,7 @@ import pytest
 from preimage.cli import main
 from preimage.examination import Examination, Kind, Severity, examine
 from preimage.examination.viewpoint import find_shift
-from preimage.records import Episode
+from preimage.records import Description, Episode
 from preimage.report import examined_page
 from recordings import CAMERA, write_v21
 
@@ -299,6 +299,7 @@ def test_the_verb_prints_a_finding_a_line_and_the_verdict_last(data, tmp_path, c
 
 
 def test_the_verb_ends_with_1_when_a_fault_makes_training_impossible(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("preimage.cli.learning.describe", lambda *_, **__: Description("folder", {"camera": (48, 64, 1)}, NAMES, 10.0, 20))
     monkeypatch.setattr("preimage.cli.learning.read_episodes", lambda *_, **__: iter(PLANTED["a frame was lost"][2](healthy())))
     with pytest.raises(SystemExit) as stopped:
         main(["check", "mine", "--out", str(tmp_path / "check.html")])

@@ -12,7 +12,7 @@ from preimage.cli.screen import bar, known_task
 from preimage.compute.devices import Device
 from preimage.compute.processes import gather
 from preimage.data.clocks import bounds, is_rate
-from preimage.data.dataset import fingerprint, open_recordings, read_episodes, save
+from preimage.data.dataset import describe, fingerprint, open_recordings, read_episodes, save
 from preimage.data.view import View
 from preimage.evaluation.experiments import SIZES
 from preimage.evaluation.held_out import every_nth
@@ -74,7 +74,9 @@ def check(
         raise ValueError(f"--rate-hz is {rate_hz}: {bounds()}")
     recordings = read_episodes(data, view=view, only=episodes, without=without_episodes)
     examination = examine(recordings, rate_hz=rate_hz, joints_chosen=view.joints is not None)
-    examined_page(examination, out, title=f"preimage check: {data.name}")
+    about = describe(data, state=view.state)
+    camera = view.camera or next(iter(about.cameras))
+    examined_page(examination, out, title=f"preimage check: {data.name}", camera=camera, joint_unit=about.joint_unit)
     for finding in examination.findings:
         print(finding)
     print(f"the pictures are in {out}")

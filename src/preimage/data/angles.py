@@ -28,6 +28,8 @@ CROSSING = 0.75
 """Share of a turn by which a reading leaps where it wraps."""
 PACES, LEAST_RESIDUAL = 2.0, 0.1
 """What is left of the leap beyond a turn is a step of the joint: at most so many times its fastest other step, or this share of a turn."""
+SMOOTH = 0.08
+"""Share of a turn that at least half of the steps stay below: what goes to and fro faster is no way of a joint."""
 DOUBTFUL = 0.4
 """Share of a turn in one step from which on nobody can say which way round it went."""
 LEAST_GAP = 0.04
@@ -97,6 +99,8 @@ def _turn_of(readings: Readings) -> float | None:
     span = float(np.ptp(values))
     steps = np.abs(np.concatenate([np.diff(each) for each in readings]))
     for turn in TURNS:
+        if len(steps) == 0 or np.median(steps) > SMOOTH * turn:
+            continue
         if ALL_ROUND[0] * turn < span <= ALL_ROUND[1] * turn and (_wraps_within(steps, turn) or _wraps_between(readings, steps, turn)):
             return turn
         if ALL_ROUND[1] * turn < span <= APART[1] * turn and _starts_a_turn_apart(readings, steps, turn):

@@ -51,7 +51,9 @@ class Examination:
             return f"Mend first: {', '.join(faults)}. It cannot be trained on as it is; each fault above says what would help."
         if warnings := self._named(Severity.WARNING):
             return f"Will train, but: {', '.join(warnings)}. Plans will be worse than they could be; each warning says what would help."
-        return f"Ready to train: nothing stands in the way of learning from {number_of(len(self.seen), 'episode')}."
+        ready = f"Ready to train: nothing is wrong with the {number_of(len(self.seen), 'episode')}."
+        advice = [finding.kind.value for finding in self.findings if finding.help]
+        return f"{ready} What would make plans better is said above ({', '.join(advice)})." if advice else ready
 
     def _named(self, severity: Severity) -> list[str]:
         return list(dict.fromkeys(finding.kind.value for finding in self.findings if finding.severity is severity))

@@ -19,7 +19,7 @@ AT_REST = 0.5
 """Share of an episode's top speed that the joints stay below where a picture leaps by itself."""
 SNAPS = 0.1
 """Share of a joint's span beyond which it goes no farther in one step: the arm makes a tenth, a gripper that snaps all of it."""
-LAGS = range(-3, 7)
+LAGS = range(-2, 7)
 """Steps by which the picture is tried to be late."""
 FOLLOWS = 0.2
 """Correlation that a late picture must reach: what changes in the picture is then the arm, as far as it can be seen."""
@@ -37,15 +37,8 @@ LONG_REST, LONG_REST_S = 0.4, 1.0
 
 def stale(seen: Sequence[Seen]) -> Iterator[Finding]:
     """First pictures that show another moment: no later step changes the picture as much, and the joints hardly move."""
-    scale, places = divisors(seen), []
-    for one in seen:
-        changes, speeds = one.changes_by_step, speeds_of(one, scale)
-        if len(changes) <= FIRST_STEPS or len(speeds) != len(changes) or not speeds.any():
-            continue
-        first = changes[:FIRST_STEPS]
-        step = int(first.argmax())
-        if first[step] > changes[FIRST_STEPS:].max() and speeds[step] <= AT_REST * speeds.max() and first[step] > 0:
-            places.append((one.index, step))
+    scale = divisors(seen)
+    places = [(one.index, step) for one in seen if (step := _stale_step(one, scale)) is not None]
     if places:
         what = f"the picture leaps after {at_places(places)} while the joints rest ({in_episodes(episodes_of(places))}): "
         what += "the first picture shows another moment, as where a camera's buffer was not emptied"
@@ -53,11 +46,26 @@ def stale(seen: Sequence[Seen]) -> Iterator[Finding]:
         yield Finding(Kind.STALE, Severity.WARNING, what, help_, episodes_of(places), tuple(places))
 
 
+def _stale_step(one: Seen, scale: Float[np.ndarray, " J"]) -> int | None:
+    """The last step of an episode whose picture is stale; None where none is."""
+    changes, speeds = one.changes_by_step, speeds_of(one, scale)
+    if len(changes) <= FIRST_STEPS or len(speeds) != len(changes) or not speeds.any():
+        return None
+    step = int(changes[:FIRST_STEPS].argmax())
+    leaps = changes[step] > changes[FIRST_STEPS:].max() and speeds[step] <= AT_REST * speeds.max()
+    return step if leaps else None
+
+
 def lag(seen: Sequence[Seen]) -> Iterator[Finding]:
     """A camera that is late in the whole set, by steps of the recording."""
     scale = divisors(seen)
-    pairs = [(one.changes_at_pace, speeds_of(one, scale, one.pace)) for one in seen if one.sees]
-    rows = [[_correlation(changes, speeds, late) for late in LAGS] for changes, speeds in pairs if _comparable(changes, speeds)]
+    rows = []
+    for one in (one for one in seen if one.sees):
+        step = _stale_step(one, scale)
+        begin = 0 if step is None else step + 1  # a stale first picture is no lag
+        changes, speeds = one.changes_at_pace[begin:], speeds_of(one, scale, one.pace)[begin:]
+        if _comparable(changes, speeds):
+            rows.append([_correlation(changes, speeds, late) for late in LAGS])
     if len(rows) < LEAST_EPISODES:
         return
     by_lag = np.array(rows)  # (N, lags)
