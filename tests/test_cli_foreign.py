@@ -29,11 +29,15 @@ def test_a_run_keeps_how_it_saw_its_recordings(foreign):
     view = json.loads((foreign[1] / "config.json").read_text())["view"]
     assert view == {
         "camera": None,
+        "state": None,
         "joints": ["pan", "lift"],
         "crop": [0, 64, 96, 96],
         "size": [32, 32],
         "colour": "colour",
         "recorded": [96, 160],
+        "wraps": [],
+        "turns": [],
+        "seams": [],
     }
 
 

@@ -113,7 +113,10 @@ def test_an_image_of_another_size_than_the_models_frames(refused, run_folder, tm
 def test_a_goal_that_is_no_image(refused, run_folder, tmp_path):
     (tmp_path / "goal.png").write_text("a cup on the left")
     code, sentence = refused("plan", run_folder, "--goal", tmp_path / "goal.png", "--out", tmp_path / "plan")
-    assert (code, sentence) == (2, f"{tmp_path}/goal.png is not an image that can be read: give a PNG or JPEG file")
+    assert (code, sentence) == (
+        2,
+        f"{tmp_path}/goal.png is not an image that can be read: it cannot be decoded as PNG, JPEG, WebP, BMP or TIFF",
+    )
 
 
 def test_a_goal_that_is_nowhere(refused, run_folder, tmp_path):

@@ -114,7 +114,7 @@ def test_every_kind_of_folder_holds_the_same(tmp_path):
 def test_frozen_joints_are_dropped_and_said_so(foreign):
     opened = open_recordings(foreign)
     assert opened.view.joints == opened.demonstrations[0].joint_names == ("pan", "lift")
-    assert opened.told[-1] == "2 of 3 joints: pan, lift; left out, for they do not move: frozen"
+    assert opened.summary[-1] == "2 of 3 joints: pan, lift; left out, for they do not move: frozen"
 
 
 def test_frozen_joints_of_our_own_are_kept(tmp_path):
@@ -132,7 +132,7 @@ def test_joints_come_in_the_order_they_are_asked_for(foreign):
         load(foreign, view=View(joints=("lift", "lift")))
 
 
-def test_what_was_settled_shows_the_same_again(foreign):
+def test_what_was_resolved_shows_the_same_again(foreign):
     """A view with nothing left open is a fixed point, and survives JSON."""
     opened = open_recordings(foreign)
     kept = tuples(View, json.loads(json.dumps(asdict(opened.view))))
@@ -160,7 +160,7 @@ def test_grey_can_be_made_colour(tmp_path):
 
 def test_few_lines_tell_what_was_chosen(tmp_path):
     opened = open_recordings(write_v21(tmp_path / "data"), view=View(crop=(0, 32, 96, 96)))
-    assert opened.told == (
+    assert opened.summary == (
         "LeRobotDataset v2.1: 2 episodes, 9 steps at 10 Hz",
         f"camera {CAMERA}: 160x96, of which 96x96 from row 0 and column 32, seen at 96x96, in colour",
         "2 of 3 joints: pan, lift; left out, for they do not move: frozen",
@@ -210,5 +210,5 @@ def test_a_frame_that_cannot_be_decoded_is_left_out_and_told(folder, noisy):
 
 
 def test_an_episode_that_is_not_there_is_told(foreign):
-    with pytest.raises(ValueError, match=r"has no episode 7: it has [23], counted from 0"):
+    with pytest.raises(ValueError, match="has no episode 7: it has 0"):
         load(foreign, only=(0, 7))

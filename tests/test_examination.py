@@ -10,7 +10,7 @@ import pytest
 from preimage.cli import main
 from preimage.examination import Examination, Kind, Severity, examine
 from preimage.examination.viewpoint import find_shift
-from preimage.records import Episode
+from preimage.records import Description, Episode
 from preimage.report import examined_page
 from recordings import CAMERA, write_v21
 
@@ -299,8 +299,130 @@ def test_the_verb_prints_a_finding_a_line_and_the_verdict_last(data, tmp_path, c
 
 
 def test_the_verb_ends_with_1_when_a_fault_makes_training_impossible(monkeypatch, tmp_path, capsys):
+    description = Description("folder", {"camera": (48, 64, 1)}, NAMES, 10.0, 20)
+    monkeypatch.setattr("preimage.data.dataset.describe", lambda *_, **__: description)
     monkeypatch.setattr("preimage.data.dataset.read_episodes", lambda *_, **__: iter(PLANTED["a frame was lost"][2](healthy())))
     with pytest.raises(SystemExit) as stopped:
         main(["check", "mine", "--out", str(tmp_path / "check.html")])
     assert stopped.value.code == 1
     assert capsys.readouterr().out.splitlines()[-1].startswith("Mend first: missing or extra frames.")
+
+
+# Pictures and joints that were not taken at the same moments, or are not what is to be learned
+
+
+def late(one: Episode, steps: int) -> Episode:
+    """Each picture shows what was there so many steps before."""
+    frames = np.concatenate([np.repeat(one.frames[:1], steps, 0), one.frames[: len(one.frames) - steps]])
+    return replace(one, frames=frames)
+
+
+def stale(episodes: list[Episode], count: int = 1) -> list[Episode]:
+    """The first pictures are the last of the episode before."""
+    earlier = [episodes[-1], *episodes[:-1]]
+    return [
+        replace(one, frames=np.concatenate([before.frames[-count:], one.frames[count:]]))
+        for one, before in zip(episodes, earlier, strict=True)
+    ]
+
+
+def waiting(one: Episode, steps: int) -> Episode:
+    """The recorder was started long before the hand set out."""
+    noise = np.random.default_rng(one.index).normal(0, 1e-4, (steps, one.joints.shape[1]))
+    frames, joints = np.repeat(one.frames[:1], steps, 0), one.joints[:1] + noise
+    grain = np.random.default_rng(one.index).integers(0, 2, frames.shape, np.uint8)
+    num_steps = len(one.joints) + steps
+    return replace(
+        one,
+        frames=np.concatenate([frames + grain, one.frames]),
+        joints=np.concatenate([joints, one.joints]),
+        timestamps_s=np.arange(num_steps) / one.rate_hz,
+        declared_length=num_steps,
+    )
+
+
+def only(examination: Examination, kind: Kind):
+    (finding,) = [finding for finding in examination.findings if finding.kind is kind]
+    return finding
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_first_pictures_of_the_episode_before_are_found(count):
+    finding = only(examine(stale(healthy(), count)), Kind.STALE)
+    assert finding.severity is WARNING
+    assert len(finding.episodes) > 0.8 * NUM_EPISODES
+    assert {step for _, step in finding.places} <= set(range(count))
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 5])
+def test_a_camera_that_lags_is_found_and_by_how_many_steps(steps):
+    finding = only(examine([late(one, steps) for one in healthy()]), Kind.LAG)
+    assert finding.severity is WARNING
+    assert f"the picture lags the joints by {steps} step" in finding.what
+    assert f"({100 * steps} ms)" in finding.what
+
+
+def at_30_hz(one: Episode) -> Episode:
+    """The same way three times as dense, as a camera of 30 Hz would see it."""
+    return replace(repeated(one, 3), rate_hz=30.0, timestamps_s=np.arange(3 * len(one.joints)) / 30)
+
+
+def test_on_video_of_30_hz_what_moves_is_as_large_as_at_10():
+    dense = [at_30_hz(one) for one in healthy()]
+    assert "nothing in the picture ever changes" not in only(examine(dense), Kind.SCENE).what
+    sizes = [float(only(examine(some), Kind.SCENE).what.split("what moves is ")[1].split()[0]) for some in (healthy(), dense)]
+    assert sizes[1] == pytest.approx(sizes[0], abs=2)
+
+
+def test_a_lag_is_found_at_30_hz_too():
+    """To a step, for the dense fixture's frames are those nearest to its joints."""
+    what = only(examine([late(at_30_hz(one), 4) for one in healthy()]), Kind.LAG).what
+    assert int(what.split("lags the joints by ")[1].split()[0]) in (4, 5)
+
+
+def test_a_long_rest_at_the_start_is_found():
+    finding = only(examine([waiting(one, 25) if one.index < 5 else one for one in healthy()]), Kind.WAITS)
+    assert finding.episodes == (0, 1, 2, 3, 4)
+    assert "s, median) before a joint moves" in finding.what
+
+
+def test_two_tasks_in_one_set_are_found():
+    finding = only(examine([replace(one, task="push" if one.index >= 12 else "reach") for one in healthy()]), Kind.TASKS)
+    assert "the set holds 2 tasks: 'reach' (episodes 0 to 11), 'push' (episodes 12 to 19)" in finding.what
+    assert "--episodes" in finding.help
+
+
+def test_numbers_that_are_passed_over_are_told_and_no_fault():
+    examination = examine([one for one in healthy() if one.index not in (2, 5)])
+    assert only(examination, Kind.GAPS).what.startswith("episodes 2, 5 are not among them")
+    assert examination.trainable
+
+
+@pytest.mark.parametrize("turn", [360.0, 2 * np.pi])
+@pytest.mark.parametrize("start", [0.0, 0.5])
+def test_angles_that_wrap_are_found_and_are_no_jumps(turn, start):
+    """Degrees or radians, read from 0 or from minus half a turn on; two joints."""
+
+    def wrapped(one: Episode) -> Episode:
+        joints = one.joints.copy()
+        joints[:, :2] *= turn / (2 * np.pi)
+        joints[:, :2] = (joints[:, :2] + turn * np.array([0.0, 0.9])) % turn - start * turn
+        joints[:, 0] = (joints[:, 0] + start * turn * 2) % turn - start * turn
+        return replace(one, joints=joints)
+
+    examination = examine([wrapped(one) for one in healthy()])
+    assert {finding.joints for finding in examination.findings if finding.kind is Kind.WRAPS} >= {("yaw",)} if start == 0 else True
+    assert Kind.JUMP not in found(examination)
+    assert not found(examination, FAULT, WARNING), [str(finding) for finding in examination.findings]
+
+
+def test_a_counter_among_the_joints_is_asked_about():
+    def counting(one: Episode) -> Episode:
+        count = 7.0 + np.arange(len(one.joints))
+        return replace(one, joints=np.column_stack([one.joints, count]), joint_names=(*NAMES, "row"))
+
+    finding = only(examine([counting(one) for one in healthy()]), Kind.COUNTER)
+    assert finding.severity is FAULT
+    assert finding.what == "row rises evenly in every episode, as a clock or a counter does"
+    assert "--view.joints yaw shoulder gripper" in finding.help
+    assert Kind.COUNTER not in found(examine([counting(one) for one in healthy()], joints_chosen=True))

@@ -129,11 +129,11 @@ DAMAGES = [
     (write(INFO, b"[]"), "{0}/meta/info.json holds a list, not an object: the file is damaged, copy the data set again"),
     (
         change_info(codebase_version="v1.6"),
-        "{0} is a LeRobot data set of version v1.6: only v2.1 and v3.0 can be read, convert it with LeRobot first",
+        "{0} is a LeRobot data set of version v1.6: only v2.0, v2.1 and v3.0 can be read, convert it with LeRobot first",
     ),
-    (change_info(fps=0), "{0}/meta/info.json has fps 0: it should be the number of steps a second"),
-    (change_info(fps="ten"), "{0}/meta/info.json has fps 'ten': it should be the number of steps a second"),
-    (change_info(fps=float("inf")), "{0}/meta/info.json has fps inf: it should be the number of steps a second"),
+    (change_info(fps=0), "{0}/meta/info.json has fps 0: it should be the number of steps a second; rates are 0.2 to 1000 Hz"),
+    (change_info(fps="ten"), "{0}/meta/info.json has fps 'ten': it should be the number of steps a second; rates are 0.2 to 1000 Hz"),
+    (change_info(fps=float("inf")), "{0}/meta/info.json has fps inf: it should be the number of steps a second; rates are 0.2 to 1000 Hz"),
     (change_info(chunks_size=0), "{0}/meta/info.json has chunks_size 0: it should be the number of episodes a folder"),
     (
         change_info(features=None),
@@ -145,17 +145,16 @@ DAMAGES = [
         add_camera,
         f"the data set has the cameras {CAMERA}, {WRIST}: choose one by --view.camera, or View(camera=...)",
     ),
-    (drop_feature("observation.state"), "the data set has no observation.state: the joint angles should be stored under that name"),
+    (drop_feature("observation.state"), "the data set has no observation.state: choose one or more of action by --view.state"),
     (
         change_feature("observation.state", names=3),
         "observation.state has the names 3 in meta/info.json: they should be a list with the name of each joint",
     ),
     (
         lengthen_names,
-        f"{{0}}/{DATA}, episode 0, step 0 has 2 values of observation.state, meta/info.json names 3: let them agree",
+        f"{{0}}/{DATA}, episode 0, step 0 has 2 values of the joints, meta/info.json names 3: let them agree",
     ),
     (remove(INDEX), "{0} has no episodes in meta/episodes: record one or more, or copy the data set again"),
-    (drop_row(INDEX, 1), "{0} lists 2 episodes, meta/info.json counts 3 from 0: copy the data set again"),
     (truncate(INDEX), f"{{0}}/{INDEX} cannot be read as parquet: the file is damaged or incomplete, copy the data set again"),
     (drop_column(INDEX, "length"), f"{{0}}/{INDEX} has no column length: a LeRobot data set needs it"),
     (
@@ -166,28 +165,36 @@ DAMAGES = [
     (truncate(DATA), f"{{0}}/{DATA} cannot be read as parquet: the file is damaged or incomplete, copy the data set again"),
     (write(DATA, b""), f"{{0}}/{DATA} cannot be read as parquet: the file is damaged or incomplete, copy the data set again"),
     (drop_column(DATA, CAMERA), f"{{0}}/{DATA} has no column observation.images.camera: a LeRobot data set needs it"),
-    (drop_row(DATA, 4), "{0}, episode 1 has 3 steps of joints, its index says 4: copy the data set again"),
-    (change_row(5, observation__state=[0.0, np.nan]), "{0}, episode 1: joints holds nan at step 2, joint joint 1"),
-    (change_row(5, observation__state=[None, 0.0]), "{0}, episode 1: joints holds nan at step 2, joint joint 0"),
+    (
+        drop_row(DATA, 4),
+        "{0}, episode 1 has 3 steps of joints, its index says 4: copy the data set again or leave that episode out (--without-episodes 1)",
+    ),
+    (
+        change_row(5, observation__state=[0.0, np.nan]),
+        "{0}, episode 1: joints holds nan at step 2, joint joint 1; leave it out by --without-episodes 1",
+    ),
+    (
+        change_row(5, observation__state=[None, 0.0]),
+        "{0}, episode 1: joints holds nan at step 2, joint joint 0; leave it out by --without-episodes 1",
+    ),
     (
         change_frame(4, png()[:45]),
-        f"{{0}}/{DATA}, episode 1, step 1 has a frame that cannot be decoded: copy the data set again or leave that episode out",
+        f"{{0}}/{DATA}, episode 1, step 1 has a frame that cannot be decoded as PNG, JPEG, WebP, BMP or TIFF: "
+        "copy the data set again or leave that episode out (--without-episodes 1)",
     ),
     (
         change_frame(4, None),
-        f"{{0}}/{DATA}, episode 1, step 1 has a frame that cannot be decoded: copy the data set again or leave that episode out",
+        f"{{0}}/{DATA}, episode 1, step 1 has a frame that cannot be decoded as PNG, JPEG, WebP, BMP or TIFF: "
+        "copy the data set again or leave that episode out (--without-episodes 1)",
     ),
     (
         change_frame(4, png(mode="RGBA")),
         f"{{0}}/{DATA}, episode 1, step 1 has a frame of (6, 8, 4), the first is of (6, 8, 3) (H, W, C): give all one size",
     ),
     (
-        change_frame(4, png(mode="P")),
-        f"{{0}}/{DATA}, episode 1, step 1 has a frame of mode P: it should be 8-bit grey, RGB, or RGBA where the fourth channel is depth",
-    ),
-    (
         lambda folder: edit_json(folder / INFO, lambda info: info.update(data_path="{chunk}.parquet")),
-        "{0}/meta/info.json has data_path '{{chunk}}.parquet': it should be the pattern of the files' names",
+        "{0}/meta/info.json has data_path '{{chunk}}.parquet': it should be the pattern of the files' names, "
+        "in which {{episode_chunk}}, {{chunk_index}}, {{file_index}} may stand",
     ),
     (
         change_frame(4, png((5, 6))),

@@ -76,23 +76,23 @@ VIDEO_DAMAGES = [
         "v2.1",
         write(V21_VIDEO, b"no video"),
         f"{{0}}/{V21_VIDEO} cannot be decoded as video (Invalid data found when processing input): "
-        "the file is damaged or incomplete, copy the data set again",
+        "the file is damaged or incomplete, copy the data set again or leave that episode out (--without-episodes 1)",
     ),
     (
         "v2.1",
         halve(V21_VIDEO),
         f"{{0}}/{V21_VIDEO} cannot be decoded as video (Invalid data found when processing input): "
-        "the file is damaged or incomplete, copy the data set again",
+        "the file is damaged or incomplete, copy the data set again or leave that episode out (--without-episodes 1)",
     ),
     (
         "v2.1",
         shorten_video(V21_VIDEO, 3),
-        "{0}, episode 1 has 3 frames for 4 steps of joints: copy the data set again or leave that episode out",
+        "{0}, episode 1 has 3 frames for 4 steps of joints: copy the data set again or leave that episode out (--without-episodes 1)",
     ),
     (
         "v2.1",
         shorten_video(V21_VIDEO, 6),
-        "{0}, episode 1 has 6 frames for 4 steps of joints: copy the data set again or leave that episode out",
+        "{0}, episode 1 has 6 frames for 4 steps of joints: copy the data set again or leave that episode out (--without-episodes 1)",
     ),
     ("v2.1", remove(V21_DATA), f"{{0}}/{V21_DATA} is missing: copy the data set again"),
     (
@@ -111,12 +111,17 @@ VIDEO_DAMAGES = [
         write("meta/episodes.jsonl", b""),
         "{0} has no episodes in meta/episodes.jsonl: record one or more, or copy the data set again",
     ),
-    ("v2.1", change_info(video_path=None), "{0}/meta/info.json has video_path None: it should be the pattern of the files' names"),
+    (
+        "v2.1",
+        change_info(video_path=None),
+        "{0}/meta/info.json has video_path None: it should be the pattern of the files' names, "
+        "in which {{video_key}}, {{episode_chunk}}, {{chunk_index}}, {{episode_index}}, {{file_index}} may stand",
+    ),
     ("v3.0", remove(V30_VIDEO), f"{{0}}/{V30_VIDEO} is missing: copy the data set again"),
     (
         "v3.0",
         shorten_video(V30_VIDEO, 7),
-        "{0}, episode 1 has 2 frames for 4 steps of joints: copy the data set again or leave that episode out",
+        "{0}, episode 1 has 2 frames for 4 steps of joints: copy the data set again or leave that episode out (--without-episodes 1)",
     ),
     (
         "v3.0",

@@ -68,7 +68,7 @@ def table(content: str):
 
 
 DAMAGES = [
-    (lambda folder: (folder / "rate_hz").unlink(), "tells no rate: write the pictures a second into .*rate_hz, or a first column time_s"),
+    (lambda folder: (folder / "rate_hz").unlink(), "tells no rate: write the pictures a second into .*rate_hz, or a column time_s"),
     (lambda folder: (folder / "rate_hz").write_text("fast"), "rate_hz holds 'fast': it should hold the number of pictures a second"),
     (lambda folder: (folder / "rate_hz").write_text("0"), "rate_hz holds '0': it should hold the number of pictures a second"),
     (lambda folder: (folder / "take 9/joints.csv").unlink(), r"take 9/joints.csv is missing: it should hold the joints, one row a picture"),

@@ -1,11 +1,11 @@
-"""What a view leaves open is settled by rules; a goal is looked at as the recordings were."""
+"""What a view leaves open is resolved by rules; a goal is looked at as the recordings were."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from preimage.data.view import View, coloured, default_size, look, moving, scaled, settled, telling_channels
+from preimage.data.view import View, coloured, default_size, look, moving, resolved, scaled, telling_channels
 
 SIDES = st.integers(1, 2000)
 
@@ -58,7 +58,7 @@ def test_shrinking_takes_the_mean():
 
 
 def test_the_crop_grows_and_shrinks_with_the_picture():
-    view = settled(View(crop=(8, 16, 16, 32), size=(16, 32)), 32, 64)
+    view = resolved(View(crop=(8, 16, 16, 32), size=(16, 32)), 32, 64)
     frame = np.zeros((32, 64, 1), np.uint8)
     frame[8:24, 16:48] = 255
     large = np.repeat(np.repeat(frame, 4, 0), 4, 1)
@@ -69,7 +69,7 @@ def test_the_crop_grows_and_shrinks_with_the_picture():
 
 @pytest.mark.parametrize("size", [(64, 64), (64, 32), (30, 64)])
 def test_other_proportions_are_refused(size):
-    view = settled(View(size=(16, 16)), 32, 64)
+    view = resolved(View(size=(16, 16)), 32, 64)
     with pytest.raises(ValueError, match=f"goal is {size[1]}x{size[0]} pixels, the model sees 16x16: scale or crop it to that, or to the"):
         look(np.zeros((*size, 1), np.uint8), view, "goal")
 

@@ -11,7 +11,8 @@ All of them are frozen and hold NumPy arrays. Lengths are metres, angles radians
 """
 
 import enum
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -49,6 +50,19 @@ def number_of(number: int, noun: str) -> str:
     ('1 episode', '3 episodes', '0 joints')
     """
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def listed(numbers: Iterable[int], most: int = 6) -> str:
+    """The numbers in words, neighbours drawn together.
+
+    >>> listed([3, 1, 2, 7]), listed(range(0, 40, 2))
+    ('1 to 3, 7', '0, 2, 4, 6, 8, 10 and 14 more')
+    """
+    ordered = sorted(set(numbers))
+    runs = [[number for _, number in run] for _, run in itertools.groupby(enumerate(ordered), lambda pair: pair[1] - pair[0])]
+    words = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
+    left = sum(map(len, runs[most:]))
+    return ", ".join(words[:most]) + (f" and {left} more" if left else "")
 
 
 def scene_of(about: Mapping[str, Any] | None) -> Scene | None:

@@ -13,6 +13,7 @@ from tyro.conf import Positional
 
 from preimage.cli.screen import bar, known_task
 from preimage.compute.choices import Device
+from preimage.data.clocks import bounds, is_rate
 from preimage.data.view import View
 from preimage.network.config import ModelConfig
 from preimage.presets import Preset, TrainOptions, network_config, train
@@ -52,21 +53,36 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels:
     print(f"{number_of(count, 'demonstration')}, {number_of(steps, 'step')} at {TASKS[task].rate_hz:g} Hz, in {out}")
 
 
-def check(data: Positional[Path], out: Path = Path("check.html"), view: View = View()) -> None:  # noqa: B008, frozen
+def check(
+    data: Positional[Path],
+    out: Path = Path("check.html"),
+    episodes: tuple[int, ...] | None = None,
+    without_episodes: tuple[int, ...] = (),
+    rate_hz: float = ModelConfig.rate_hz,
+    view: View = View(),  # noqa: B008, frozen
+) -> None:
     """Say whether recordings can be learned from, what is wrong with them and what would help.
 
     Args:
         data: a LeRobotDataset, v3.0 or v2.1, or a folder of pictures and tables of joints.
         out: page to write, with pictures.
+        episodes: numbers of the episodes to look at; by default all.
+        without_episodes: numbers of episodes to leave out.
+        rate_hz: steps a second of the model that is going to be trained.
         view: how the recordings are looked at.
     """
-    from preimage.data.dataset import read_episodes
+    from preimage.data.dataset import describe, read_episodes
     from preimage.examination import examine
     from preimage.report import examined_page
 
     validate_output_file(out, **CHECK_PAGE)
-    examination = examine(read_episodes(data, view=view))
-    examined_page(examination, out, title=f"preimage check: {data.name}")
+    if not is_rate(rate_hz):
+        raise ValueError(f"--rate-hz is {rate_hz}: {bounds()}")
+    recordings = read_episodes(data, view=view, only=episodes, without=without_episodes)
+    examination = examine(recordings, rate_hz=rate_hz, joints_chosen=view.joints is not None)
+    about = describe(data, state=view.state)
+    camera = view.camera or next(iter(about.cameras))
+    examined_page(examination, out, title=f"preimage check: {data.name}", camera=camera, joint_unit=about.joint_unit)
     for finding in examination.findings:
         print(finding)
     print(f"the pictures are in {out}")
@@ -83,6 +99,8 @@ def train_(
     device: Device = "auto",
     devices: int = 1,
     num_nodes: int = 1,
+    episodes: tuple[int, ...] | None = None,
+    without_episodes: tuple[int, ...] = (),
     hold_out: int = 0,
     rate_hz: float | None = None,
     intention: Literal["latent", "free"] | None = None,
@@ -105,6 +123,8 @@ def train_(
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share every update.
         num_nodes: machines with as many processes each, started by torchrun or Slurm.
+        episodes: numbers of the episodes to learn from; by default all. The run keeps them.
+        without_episodes: numbers of episodes to leave out.
         hold_out: every Nth episode is not trained on but kept for `preimage evaluate --data`; 0 trains on all.
         rate_hz: steps a second that the model runs at, instead of the size's own.
         intention: latent, a few Gaussian numbers, or free, the initial states themselves, as in the paper.
@@ -120,16 +140,21 @@ def train_(
     from preimage.compute.processes import gather
     from preimage.data.dataset import fingerprint, open_recordings
     from preimage.evaluation.held_out import every_nth
+    from preimage.examination import validate
     from preimage.method.train import Progress as Told
     from preimage.report import learning_curve
     from preimage.storage.checkpoints import goes_on
     from preimage.storage.provenance import provenance
-    from preimage.storage.runs import read_settings, read_view, write_card
+    from preimage.storage.runs import episodes_of, read_settings, read_view, write_card
 
     resumed = goes_on(out, resume=resume)
-    opened = open_recordings(data, view=read_view(out) if resumed else view)
-    recorded, lines = opened.demonstrations, list(opened.told)
-    learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "held_out": every_nth(len(recorded), hold_out)}
+    if resumed:
+        view, episodes, without_episodes = read_view(out), episodes_of(out), ()
+    opened = open_recordings(data, view=view, only=episodes, without=without_episodes)
+    recorded, lines = opened.demonstrations, list(opened.summary)
+    validate(recorded, opened.episodes)
+    learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "episodes": list(opened.episodes)}
+    learned_from |= {"held_out": [opened.episodes[place] for place in every_nth(len(recorded), hold_out)]}
     capacity = {
         "intention": intention,
         "intention_dimensions": intention_dimensions,
@@ -143,11 +168,11 @@ def train_(
         model_config = read_settings(ModelConfig, out, "model")
         lines += told
     held_out = learned_from.get("held_out", [])
-    demonstrations = [one for episode, one in enumerate(recorded) if episode not in held_out]
+    demonstrations = [one for episode, one in zip(opened.episodes, recorded, strict=True) if episode not in held_out]
     about = {"size": size, "preset": as_, "num_demonstrations": len(demonstrations), "data": learned_from}
     crew = gather(devices=devices, num_nodes=num_nodes, device=device)
     about |= {"view": asdict(opened.view), "body": asdict(opened.body)}
-    about |= {"task": task_of(demonstrations), "provenance": provenance(crew.device)}
+    about |= {"task": task_of(demonstrations) or opened.task, "provenance": provenance(crew.device)}
     with bar(shown=crew.first) as progress:
         shown = progress.add_task("training", total=config.updates)
 

@@ -27,6 +27,8 @@ def evaluate_(
     run: Positional[str],
     out: Path = Path("evaluation.json"),
     data: Path | None = None,
+    episodes: tuple[int, ...] | None = None,
+    without_episodes: tuple[int, ...] = (),
     films: Path | None = None,
     task: str = "reach",
     goals: int = 100,
@@ -45,6 +47,8 @@ def evaluate_(
         run: a run folder, the name of a bundled model, or hf:OWNER/NAME of the Hugging Face Hub.
         out: JSON file to write.
         data: recordings to compare with, instead of the simulator; of the data that was trained on, the episodes held out.
+        episodes: numbers of the episodes of --data to compare with; by default, of the data that was trained on, those the run was given.
+        without_episodes: numbers of episodes to leave out.
         films: folder for a few films, recorded beside imagined; for --data.
         task: name of the task.
         goals: how many goals.
@@ -72,7 +76,8 @@ def evaluate_(
     if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     if data is not None:
-        return compare_with(data, run, out, films, config, device, devices)
+        which = {"only": episodes, "without": without_episodes}
+        return compare_with(data, run, out, films, config, device, devices, **which)
     crew = gather(devices=devices, num_nodes=1, device=device)
     folder = find_run(run)
     planner, learned_from, made = load_planner(folder, config, device=crew.device), read_shown(folder), made_from(folder)
@@ -105,7 +110,9 @@ def evaluate_(
         print(summary(name, baseline))
 
 
-def compare_with(data: Path, run: str, out: Path, films: Path | None, options: PlanOptions, device: Device, devices: int) -> None:
+def compare_with(
+    data: Path, run: str, out: Path, films: Path | None, options: PlanOptions, device: Device, devices: int, **which: Any
+) -> None:
     """The part of `evaluate` that needs no simulator."""
     from preimage.compute.processes import gather
     from preimage.compute.threads import choose_threads
@@ -120,7 +127,7 @@ def compare_with(data: Path, run: str, out: Path, films: Path | None, options: P
         def tell(done: int, of_all: int) -> None:
             progress.update(shown, completed=done, total=of_all)
 
-        lines = compare_run(run, data, out=out, film_folder=films, options=options, progress=tell, crew=crew)
+        lines = compare_run(run, data, out=out, film_folder=films, options=options, progress=tell, crew=crew, **which)
     if crew.first:
         print("\n".join(lines))
 

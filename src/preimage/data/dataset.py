@@ -1,4 +1,4 @@
-"""Recordings on disk, opened as they are: LeRobotDataset v3.0 and v2.1, or plain folders of pictures and tables.
+"""Recordings on disk, opened as they are: LeRobotDataset v3.0, v2.1 and v2.0, or plain folders of pictures and tables.
 
 >>> import tempfile
 >>> demonstration = Demonstration(np.zeros((3, 8, 8, 1), np.uint8), np.ones((3, 2)), rate_hz=10.0, joint_names=("yaw", "shoulder"))
@@ -21,12 +21,15 @@ from typing import TypeVar
 import numpy as np
 
 from preimage.data import lerobot_reader, plain_folder
-from preimage.data.lerobot_reader import EXTRAS, INFO
+from preimage.data.angles import Wrap, find_wraps, unwrapped
+from preimage.data.clocks import asked_about, is_clock
+from preimage.data.files import leave_out
+from preimage.data.lerobot_info import EXTRAS, INFO
 from preimage.data.lerobot_writer import save
-from preimage.data.view import COLOURS, Eye, View, moving, telling_channels
-from preimage.records import Body, Demonstration, Description, Episode, number_of
+from preimage.data.view import COLOURS, Eye, View, moving, telling_channels, unwraps
+from preimage.records import Body, Demonstration, Description, Episode, listed, number_of
 
-__all__ = ["Opened", "describe", "fingerprint", "load", "open_recordings", "read_episodes", "save"]
+__all__ = ["Opened", "describe", "episode_numbers", "fingerprint", "load", "open_recordings", "read_episodes", "save"]
 
 BY_DEFAULT = View()
 
@@ -38,80 +41,121 @@ class Opened:
     """Recordings that were looked at, ready to be learned from."""
 
     demonstrations: list[Demonstration]
+    episodes: tuple[int, ...]
+    """The number of each of them in the data set."""
     view: View
-    """How they were looked at: what the asked view left open is settled."""
+    """How they were looked at: what the asked view left open is resolved."""
     body: Body
     """All joints that were recorded, those that were left out too."""
-    told: tuple[str, ...]
-    """What there is and what was chosen, in two or three lines."""
+    task: str | None
+    """What they show, in words, where the data set gives one task."""
+    summary: tuple[str, ...]
+    """What there is and what was chosen, in a few lines."""
 
 
-def load(folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None) -> list[Demonstration]:
-    """The demonstrations of a data set; `open_recordings` tells besides what was chosen.
+def load(
+    folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None, without: Collection[int] = ()
+) -> list[Demonstration]:
+    """The demonstrations of a data set; `open_recordings` reports besides what was chosen.
 
     Args:
-        view: how to look at them; what it leaves open is settled by the data (`preimage.data.view`).
+        view: how to look at them; what it leaves open is resolved by the data (`preimage.data.view`).
         only: numbers of the episodes to read; by default all.
+        without: numbers of episodes to leave out.
 
     Raises:
         ValueError: the folder is no data set, or part of it is missing, damaged or contradicts the rest.
     """
-    return open_recordings(folder, view=view, only=only).demonstrations
+    return open_recordings(folder, view=view, only=only, without=without).demonstrations
 
 
-def open_recordings(folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None) -> Opened:
-    """The demonstrations of a data set, how they were looked at, and what to tell of it.
+def open_recordings(
+    folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None, without: Collection[int] = ()
+) -> Opened:
+    """The demonstrations of a data set, how they were looked at, and a summary of it.
 
-    Joints are in the unit they were recorded in. Of a data set that was written here all joints are taken: what is loaded is what was
-    saved; of others those that move.
+    Joints are in the unit they were recorded in; angles that wrap are unwrapped. Of a data set that was written here all joints are taken:
+    what is loaded is what was saved; of others those that move and are no clocks.
 
     Args:
-        view: how to look at them; what it leaves open is settled by the episodes that are read.
+        view: how to look at them; what it leaves open is resolved by the episodes that are read.
         only: numbers of the episodes to read; by default all.
+        without: numbers of episodes to leave out.
 
     Raises:
         ValueError: the folder is no data set, or part of it is missing, damaged or contradicts the rest.
     """
     folder = Path(folder)
-    description = describe(folder)
-    eye = Eye(view)
-    episodes = [_whole(episode, folder) for episode in _reader(folder).read_episodes(folder, eye, only)]
-    _refuse_other_numbers([episode.index for episode in episodes], description.num_episodes, only, folder)
+    room, eye = _reader(folder), Eye(view)
+    episodes = [_whole(episode, folder) for episode in room.read_episodes(folder, eye, _chosen(folder, only, without))]
     demonstrations = [_demonstration(episode, folder) for episode in episodes]
-    joints = _chosen_joints(demonstrations, eye.view, folder)
-    body = Body(description.joint_names, _held(demonstrations, joints), description.joint_unit)
+    numbers = tuple(episode.index for episode in episodes)
+    names = demonstrations[0].joint_names
+    wraps = find_wraps([each.joints for each in demonstrations], names, episodes=numbers) if view.wraps is None else unwraps(view)
+    demonstrations = [replace(each, joints=unwrapped(each.joints, names, wraps)) for each in demonstrations]
+    joints = view.joints or _chosen_joints(demonstrations, folder)
+    if lost := [wrap for wrap in wraps if wrap.impossible and wrap.joint in joints]:
+        raise ValueError(f"{folder}: {cannot_unwrap(lost[0], [name for name in joints if name != lost[0].joint])}")
+    kept = [wrap for wrap in wraps if wrap.joint in joints]
+    description = room.describe(folder, view.state)
+    body = Body(names, _held(demonstrations, joints), description.joint_unit)
     demonstrations = [_with_joints(each, joints, folder) for each in demonstrations]
     channels = demonstrations[0].frames.shape[-1]
     if view.colour == "keep" and (telling := telling_channels([each.frames for each in demonstrations])) != channels:
         channels, demonstrations = telling, [replace(each, frames=each.frames[..., :telling].copy()) for each in demonstrations]
-    settled = replace(eye.view, joints=joints, colour=COLOURS.get(channels, "keep"))
-    return Opened(demonstrations, settled, body, _told(demonstrations, description, settled, chosen=view.joints is not None))
+    resolved = replace(
+        eye.view,
+        joints=joints,
+        colour=COLOURS.get(channels, "keep"),
+        wraps=tuple(wrap.joint for wrap in kept),
+        turns=tuple(wrap.turn for wrap in kept),
+        seams=tuple(wrap.seam for wrap in kept),
+    )
+    tasks = {episode.task for episode in episodes}
+    lines = [*_summary(demonstrations, numbers, description, resolved, chosen=view.joints is not None)]
+    lines += [reads_past(wrap, len(numbers)) for wrap in kept if wrap.episodes]
+    return Opened(demonstrations, numbers, resolved, body, tasks.pop() if len(tasks) == 1 else None, tuple(lines))
 
 
-def read_episodes(folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None) -> Iterator[Episode]:
+def read_episodes(
+    folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None, without: Collection[int] = ()
+) -> Iterator[Episode]:
     """The episodes of a data set one by one, whether they are whole or not, for those who want to know what is wrong.
 
-    All that the view asks for is applied; what it leaves open of joints and colour is left as it was recorded.
+    All that the view asks for is applied; what it leaves open of joints, wraps and colour is left as it was recorded.
 
     Args:
         view: how to look at them.
         only: numbers of the episodes to read; by default all.
+        without: numbers of episodes to leave out.
 
     Raises:
         ValueError: the folder is no data set, or what says where the episodes lie cannot be read, or the view does not fit.
     """
     folder = Path(folder)
-    episodes = _reader(folder).read_episodes(folder, Eye(view), only)
+    episodes = _reader(folder).read_episodes(folder, Eye(view), _chosen(folder, only, without))
     return episodes if view.joints is None else (_with_joints(episode, view.joints, folder) for episode in episodes)
 
 
-def describe(folder: Path | str) -> Description:
+def describe(folder: Path | str, *, state: tuple[str, ...] | None = None) -> Description:
     """What a data set says of itself: version, cameras, joints, rate and number of episodes.
+
+    Args:
+        state: the columns that hold the joints; by default observation.state.
 
     Raises:
         ValueError: the folder is no data set, or its description is damaged.
     """
-    return _reader(Path(folder)).describe(Path(folder))
+    return _reader(Path(folder)).describe(Path(folder), state)
+
+
+def episode_numbers(folder: Path | str) -> list[int]:
+    """The numbers of the episodes of a data set, in order; there may be gaps between them.
+
+    Raises:
+        ValueError: the folder is no data set, or what says where the episodes lie cannot be read.
+    """
+    return _reader(Path(folder)).numbers_of(Path(folder))
 
 
 def fingerprint(demonstrations: Sequence[Demonstration]) -> str:
@@ -124,18 +168,43 @@ def fingerprint(demonstrations: Sequence[Demonstration]) -> str:
     return digest.hexdigest()[:12]
 
 
+def cannot_unwrap(wrap: Wrap, others: Sequence[str]) -> str:
+    """A sentence on a joint whose readings wrap and cannot be unwrapped, given the joints that can be learned without it."""
+    without = f"leave it out by --view.joints {' '.join(others)}, or " if others else ""
+    return f"{wrap.joint} {wrap.impossible}: {without}record it as an angle that counts on"
+
+
+def reads_past(wrap: Wrap, num_episodes: int) -> str:
+    """A sentence on a joint that was unwrapped."""
+    count = f"{len(wrap.episodes)} of {number_of(num_episodes, 'episode')} ({listed(wrap.episodes)})"
+    return f"{wrap.joint} turns past the end of its readings, which wrap by a full turn of {wrap.turn:.4g}, in {count}: it is unwrapped"
+
+
 def _reader(folder: Path) -> ModuleType:
-    """The room that reads this kind of data set; both have `describe` and `read_episodes`."""
+    """The room that reads this kind of data set; both have `describe`, `numbers_of` and `read_episodes`."""
     if not folder.is_dir():
         raise ValueError(f"{folder} is not a folder: name that of a data set")
-    if (folder / INFO).is_file():
+    if (folder / INFO).exists():
         return lerobot_reader
     if plain_folder.is_plain(folder):
         return plain_folder
+    if (folder / "config.json").is_file():
+        raise ValueError(f"{folder} holds a trained model (config.json) and no recordings: name the folder of the data set")
     raise ValueError(
         f"{folder} has no {INFO}, so it is no LeRobot data set, and no folder in it has pictures and a joints.csv: "
         "name the folder that holds meta/ and data/, or the folders of the episodes"
     )
+
+
+def _chosen(folder: Path, only: Collection[int] | None, without: Collection[int]) -> list[int]:
+    """The numbers of the episodes that are asked for; ValueError where one is not there, or none is left."""
+    there = episode_numbers(folder)
+    if absent := sorted({*(only or ()), *without} - {*there}):
+        raise ValueError(f"{folder} has no episode {absent[0]}: it has {listed(there)}")
+    chosen = [number for number in there if (only is None or number in only) and number not in without]
+    if not chosen:
+        raise ValueError(f"no episode of {folder} is left: name one or more, or leave fewer out")
+    return chosen
 
 
 # From what was found to what can be learned from
@@ -147,31 +216,35 @@ def _whole(episode: Episode, folder: Path) -> Episode:
     if episode.faults:
         raise ValueError(episode.faults[0])
     if steps != episode.declared_length or steps == 0:
-        raise ValueError(f"{where} has {steps} steps of joints, its index says {episode.declared_length}: copy the data set again")
+        raise ValueError(f"{where} has {steps} steps of joints, its index says {episode.declared_length}: {leave_out(episode.index)}")
     if frames != steps:
-        raise ValueError(f"{where} has {frames} frames for {steps} steps of joints: copy the data set again or leave that episode out")
+        raise ValueError(f"{where} has {frames} frames for {steps} steps of joints: {leave_out(episode.index)}")
     return episode
-
-
-def _refuse_other_numbers(found: list[int], count: int, only: Collection[int] | None, folder: Path) -> None:
-    if only is not None and (absent := sorted(set(only) - set(found))):
-        raise ValueError(f"{folder} has no episode {absent[0]}: it has {count}, counted from 0")
-    if only is None and found != list(range(count)):
-        raise ValueError(f"{folder} lists {len(found)} episodes, {INFO} counts {count} from 0: copy the data set again")
 
 
 def _demonstration(episode: Episode, folder: Path) -> Demonstration:
     try:
         return Demonstration(episode.frames, episode.joints, episode.rate_hz, episode.joint_names, episode.scene)
     except ValueError as error:
-        raise ValueError(f"{folder}, episode {episode.index}: {error}") from None
+        raise ValueError(f"{folder}, episode {episode.index}: {error}; leave it out by --without-episodes {episode.index}") from None
 
 
-def _chosen_joints(demonstrations: Sequence[Demonstration], view: View, folder: Path) -> tuple[str, ...]:
-    if view.joints is not None:
-        return view.joints
-    names, ours = demonstrations[0].joint_names, (folder / EXTRAS).is_file()
-    return tuple(name for name, moves in zip(names, moving([each.joints for each in demonstrations]), strict=True) if ours or moves)
+def _chosen_joints(demonstrations: Sequence[Demonstration], folder: Path) -> tuple[str, ...]:
+    """Those that move and are no clocks; of a data set that was written here all.
+
+    Raises:
+        ValueError: whether one is a clock only the user knows.
+    """
+    names, joints = demonstrations[0].joint_names, [each.joints for each in demonstrations]
+    if (folder / EXTRAS).is_file():
+        return names
+    free = [not is_clock(name) for name in names]
+    if not any(free):
+        raise ValueError(f"{folder} has no joints beside its clocks ({', '.join(names)}): choose what is to be learned by --view.joints")
+    if question := asked_about(names, joints):
+        raise ValueError(f"{folder}: {question}")
+    candidates = [name for name, is_free in zip(names, free, strict=True) if is_free]
+    return tuple(name for name, moves in zip(candidates, moving([each[:, free] for each in joints]), strict=True) if moves)
 
 
 def _held(demonstrations: Sequence[Demonstration], joints: tuple[str, ...]) -> dict[str, float]:
@@ -191,21 +264,34 @@ def _with_joints(recording: Recording, joints: tuple[str, ...], folder: Path) ->
     return replace(recording, joints=recording.joints[:, columns], joint_names=joints)
 
 
-def _told(demonstrations: Sequence[Demonstration], description: Description, view: View, *, chosen: bool) -> tuple[str, ...]:
+def _summary(
+    demonstrations: Sequence[Demonstration], numbers: Sequence[int], description: Description, view: View, *, chosen: bool
+) -> Iterator[str]:
     assert view.recorded and view.size  # noqa: PT018
     assert view.joints
+    steps, rate_hz = sum(map(len, demonstrations)), description.rate_hz
+    yield f"{description.version}: {number_of(len(demonstrations), 'episode')}, {number_of(steps, 'step')} at {rate_hz:g} Hz"
+    if (len(numbers), numbers[-1] + 1) != (description.num_episodes, description.num_episodes):
+        yield f"episodes {listed(numbers)}; the data set counts {description.num_episodes}"
+    yield _camera_line(demonstrations, description, view)
+    left_out = [name for name in description.joint_names if name not in view.joints]
+    if not left_out:
+        yield f"{number_of(len(view.joints), 'joint')}: {', '.join(view.joints)}"
+        return
+    number = f"{len(view.joints)} of {number_of(len(description.joint_names), 'joint')}: {', '.join(view.joints)}"
+    clocks, still = ([name for name in left_out if is_clock(name) is clock] for clock in (True, False))
+    if chosen:
+        yield f"{number}; left out: {', '.join(left_out)}"
+        return
+    why = f"; left out, for they do not move: {', '.join(still)}" if still else ""
+    yield f"{number}{why}" + (f"; left out as {'clocks' if len(clocks) > 1 else 'a clock'}: {', '.join(clocks)}" if clocks else "")
+
+
+def _camera_line(demonstrations: Sequence[Demonstration], description: Description, view: View) -> str:
+    assert view.recorded and view.size  # noqa: PT018
     camera = view.camera or next(iter(description.cameras))
     sizes = [f"{width}x{height}" for height, width in (view.recorded, view.size)]
     crop = f", of which {view.crop[3]}x{view.crop[2]} from row {view.crop[0]} and column {view.crop[1]}" if view.crop else ""
     seen = f", seen at {sizes[1]}" if crop or sizes[0] != sizes[1] else ""
     colour = {"grey": "in grey", "colour": "in colour", "keep": "with depth"}[view.colour]
-    steps, rate_hz = sum(map(len, demonstrations)), description.rate_hz
-    lines = [
-        f"{description.version}: {number_of(len(demonstrations), 'episode')}, {number_of(steps, 'step')} at {rate_hz:g} Hz",
-        f"camera {camera}: {sizes[0]}{crop}{seen}, {colour}",
-    ]
-    if left_out := [name for name in description.joint_names if name not in view.joints]:
-        number = f"{len(view.joints)} of {number_of(len(description.joint_names), 'joint')}"
-        why = "" if chosen else ", for they do not move"
-        return *lines, f"{number}: {', '.join(view.joints)}; left out{why}: {', '.join(left_out)}"
-    return *lines, f"{number_of(len(view.joints), 'joint')}: {', '.join(view.joints)}"
+    return f"camera {camera}: {sizes[0]}{crop}{seen}, {colour}"

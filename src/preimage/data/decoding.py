@@ -1,7 +1,21 @@
-"""Frames out of encoded pictures, PNG or JPEG, and out of videos, one at a time."""
+"""Frames out of pictures and videos, one at a time: one decoder for the pictures of recordings, of starts and of goals.
+
+Whatever the file holds comes out as a viewer would show it, in 8 bits:
+
+- the orientation that a camera wrote into EXIF is applied;
+- black and white is grey; a palette, CMYK and other colour spaces are RGB;
+- grey with opacity is RGBA, a palette with transparency too (a fourth channel is depth, unless it is opaque everywhere);
+- of 16 bits the upper 8 are taken, in grey as in colour.
+
+Pillow is given the names of the formats, for it starts Ghostscript for an EPS file whatever its name, and the size is looked at before a
+pixel is unpacked.
+"""
 
 import io
 import math
+import struct
+import warnings
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,44 +24,131 @@ import numpy as np
 from av.error import FFmpegError
 from PIL import Image
 
-from preimage.data.view import Picture
+from preimage.data.files import AGAIN, POINTER, is_pointer, validate_file
+from preimage.data.view import Frame, Picture, Viewed
 
-MODES = "L", "RGB", "RGBA"
-AGAIN = "copy the data set again"
-UNDECODABLE = OSError, SyntaxError, ValueError, Image.DecompressionBombError
-"""What Pillow raises where a file holds no picture."""
+FORMATS = "PNG", "JPEG", "WEBP", "BMP", "TIFF"
+SUFFIXES = ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff"
+NAMED = "PNG, JPEG, WebP, BMP or TIFF"
+MOST_PIXELS = 64_000_000
+"""Larger than the pictures of any camera on a robot; unpacked, so many take 0.2 GB."""
+KEPT = "L", "RGB", "RGBA"
+WITH_OPACITY = "LA", "La", "PA", "RGBa"
+ORIENTATION = 0x0112
+UNDECODABLE = (
+    *(OSError, SyntaxError, ValueError, EOFError, KeyError, IndexError, TypeError, AttributeError, OverflowError, NotImplementedError),
+    *(struct.error, zlib.error, Image.DecompressionBombError),
+)
+"""What Pillow raises where a file holds no picture: its readers take a damaged header at its word."""
 
 
-def decode(content: bytes | Path | None, where: str) -> Picture:
-    """The frame that a PNG or JPEG holds, or a sentence on why it holds none.
+class NotShown(ValueError):
+    """Why there is no frame, as the end of a sentence that begins with the name of the file."""
+
+
+def decode(content: bytes | Path | None, where: str, *, remedy: str = AGAIN) -> Picture:
+    """The frame of a recording that a picture holds, or a sentence on why it holds none.
 
     Args:
         content: the file or its bytes.
         where: what to call it in the sentence.
+        remedy: what would help where it is damaged.
     """
     try:
-        with Image.open(content if isinstance(content, Path) else io.BytesIO(content or b""), formats=("PNG", "JPEG")) as image:
-            mode, frame = image.mode, np.asarray(image)
-    except UNDECODABLE:
-        return f"{where} has a frame that cannot be decoded: {AGAIN} or leave that episode out"
-    if mode not in MODES:
-        return f"{where} has a frame of mode {mode}: it should be 8-bit grey, RGB, or RGBA where the fourth channel is depth"
+        return picture(content)
+    except NotShown as error:
+        return f"{where} has a frame that {error}: {remedy}"
+
+
+def picture(content: bytes | Path | None) -> Frame:
+    """The picture in a file or in its bytes, as a viewer shows it, in 8 bits.
+
+    Raises:
+        NotShown: it holds none that can be shown.
+    """
+    if isinstance(content, Path) and not content.is_file():
+        raise NotShown("is not a regular file")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what is odd in a file but can be read; the size is looked at below
+        try:
+            with Image.open(content if isinstance(content, Path) else io.BytesIO(content or b""), formats=FORMATS) as image:
+                if image.width * image.height > MOST_PIXELS:
+                    raise NotShown(f"has {image.width}x{image.height} pixels, more than {MOST_PIXELS / 1e6:.0f} million")
+                image.load()
+                frame, orientation = _in_8_bits(image), _orientation(image)
+        except NotShown:
+            raise
+        except (*UNDECODABLE, MemoryError) as error:
+            raise NotShown(_cause(content)) from error
+    return upright(frame, orientation)
+
+
+def upright(frame: Frame, orientation: int) -> Viewed:
+    """The frame as it is to be looked at, given the orientation of EXIF (1 to 8; anything else says nothing)."""
+    if orientation in (5, 6, 7, 8):
+        frame = frame.swapaxes(0, 1)  # (W, H, C)
+    if orientation in (2, 3, 6, 7):
+        frame = frame[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        frame = frame[::-1]
+    return np.ascontiguousarray(frame)
+
+
+def _in_8_bits(image: Image.Image) -> Frame:
+    mode = image.mode
+    if mode.startswith("I"):
+        values = np.asarray(image).astype(np.int64)
+        if values.min(initial=0) < 0 or values.max(initial=0) > 0xFFFF:
+            raise NotShown("has pixels of 32 bits, whose brightness nothing tells: save it with 8 or 16")
+        return (values >> 8).astype(np.uint8)[..., None]  # (H, W, 1)
+    if mode == "F":
+        raise NotShown("has pixels of floating point, whose brightness nothing tells: save it with 8 or 16 bits")
+    if mode == "1":
+        image = image.convert("L")
+    elif mode in WITH_OPACITY or (mode == "P" and "transparency" in image.info):
+        image = image.convert("RGBA")
+    elif mode not in KEPT:
+        image = image.convert("RGB")
+    frame = np.asarray(image)
     return frame.reshape(*frame.shape[:2], -1)  # (H, W, C)
 
 
-def video_frames(path: Path, *, rate_hz: float, from_s: float = 0.0, to_s: float = math.inf) -> Iterator[Picture]:
+def _orientation(image: Image.Image) -> int:
+    """After loading, for Pillow itself turns a TIFF while it loads, and takes the tag away."""
+    try:
+        return image.getexif().get(ORIENTATION, 1)
+    except UNDECODABLE:
+        return 1  # no viewer turns a picture whose EXIF is damaged
+
+
+def _cause(content: bytes | Path | None) -> str:
+    if isinstance(content, Path):
+        with content.open("rb") as file:
+            content = file.read(len(POINTER))
+    if is_pointer(content or b""):
+        return "is a Git LFS pointer, not the picture itself (`git lfs pull` fetches it)"
+    return f"cannot be decoded as {NAMED}"
+
+
+def video_frames(path: Path, *, rate_hz: float, from_s: float = 0.0, to_s: float = math.inf, remedy: str = AGAIN) -> Iterator[Picture]:
     """The colour frames that a video shows from one time until before another; where it breaks off, a sentence says so.
 
     Args:
         rate_hz: frames a second; times are told apart to half a frame.
+        remedy: what would help where a part of it is damaged.
     """
-    if not path.is_file():
-        yield f"{path} is missing: {AGAIN}"
+    try:
+        validate_file(path)
+    except ValueError as error:
+        yield str(error)
         return
     half_s = 0.5 / rate_hz
     try:
         with av.open(str(path)) as container:
             stream = container.streams.video[0]
+            if (pixels := stream.codec_context.width * stream.codec_context.height) > MOST_PIXELS:
+                yield f"{path} has frames of {pixels / 1e6:.0f} million pixels, more than {MOST_PIXELS / 1e6:.0f}: record smaller ones"
+                return
             stream.thread_type = "AUTO"
             if from_s > 0 and stream.time_base:
                 container.seek(int(from_s / stream.time_base), stream=stream)
@@ -55,9 +156,9 @@ def video_frames(path: Path, *, rate_hz: float, from_s: float = 0.0, to_s: float
                 if (frame.time or 0.0) >= to_s - half_s:
                     return
                 if frame.is_corrupt:
-                    yield f"{path} is damaged at {frame.time or 0.0:.2f} s: {AGAIN} or leave that episode out"
+                    yield f"{path} is damaged at {frame.time or 0.0:.2f} s: {remedy}"
                 elif not from_s or (frame.time or 0.0) >= from_s - half_s:
                     yield frame.to_ndarray(format="rgb24")
-    except (FFmpegError, IndexError) as error:
-        reason = getattr(error, "strerror", None) or "it has no video stream"
-        yield f"{path} cannot be decoded as video ({reason}): the file is damaged or incomplete, {AGAIN}"
+    except (FFmpegError, IndexError, OverflowError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or ("it has no video stream" if isinstance(error, IndexError) else "it is damaged")
+        yield f"{path} cannot be decoded as video ({reason}): the file is damaged or incomplete, {remedy}"

@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Int, UInt8
 from PIL import Image
 
-from preimage.data.lerobot_reader import EXTRAS, INFO, STATE
+from preimage.data.lerobot_info import EXTRAS, INFO, STATE
 from preimage.records import Demonstration
 
 VERSION = "v3.0"

@@ -23,18 +23,29 @@ LIMIT_MARGIN = 0.1
 
 
 def at_rate(demonstration: Demonstration, rate_hz: float) -> Demonstration:
-    """The demonstration at a coarser rate: the steps nearest to the model's clock, the first and the last always among them.
+    """The demonstration at a coarser rate: the steps nearest to the model's clock, the first and the last always among them, none twice.
+
+    Where the model's clock ticks between two steps of the recording, it is stretched or shortened so that it ends on the last step: the
+    steps are then as far apart as one another, but for one.
 
     Raises:
         ValueError: the rate is above the recording's.
     """
     if rate_hz > demonstration.rate_hz:
         raise ValueError(f"the model runs at {rate_hz:g} Hz, the recording at {demonstration.rate_hz:g} Hz: record faster or lower rate_hz")
-    stride = demonstration.rate_hz / rate_hz
-    last = len(demonstration) - 1
-    num_steps = max(2, int(np.ceil(last / stride - 1e-9)) + 1)
-    steps = np.minimum(np.round(np.arange(num_steps) * stride).astype(int), last)
+    steps = _steps_at(demonstration.rate_hz / rate_hz, len(demonstration) - 1)
     return replace(demonstration, frames=demonstration.frames[steps], joints=demonstration.joints[steps], rate_hz=rate_hz)
+
+
+def _steps_at(stride: float, last: int) -> Int[np.ndarray, " S"]:
+    """
+    >>> _steps_at(2.0, 5).tolist(), _steps_at(7.5, 8).tolist(), _steps_at(2.5, 9).tolist()
+    ([0, 2, 4, 5], [0, 8], [0, 2, 4, 7, 9])
+    """
+    if abs(stride - round(stride)) < 1e-9:
+        return np.append(np.arange(0, last, round(stride)), last)
+    num_intervals = max(round(last / stride), int(np.ceil(last / np.ceil(stride))))
+    return np.linspace(0, last, num_intervals + 1).round().astype(int)
 
 
 def sensors_of(demonstrations: Sequence[Demonstration]) -> Sensors:

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
 
-from preimage.data.dataset import describe, load
-from preimage.data.decoding import MODES, UNDECODABLE
+from preimage.data.dataset import episode_numbers, load
+from preimage.data.decoding import NotShown, picture
 from preimage.data.view import View, look, seen_by
 from preimage.network.config import Sensors
-from preimage.records import Percept, Scene
+from preimage.records import Percept, Scene, listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +48,8 @@ def find_percept(source: str, sensors: Sensors, *, view: View | None = None, def
         episode, step = int(numbers[0]), int(numbers[1]) if len(numbers) == 2 else default_step
     except ValueError as error:
         raise ValueError(f"{source} does not name an episode by number: give DATA:EPISODE or DATA:EPISODE:STEP") from error
-    num_episodes = describe(folder).num_episodes
-    if not 0 <= episode < num_episodes:
-        raise ValueError(f"{folder} has episodes 0 to {num_episodes - 1}, not {episode}")
+    if episode not in (there := episode_numbers(folder)):
+        raise ValueError(f"{folder} has episodes {listed(there)}, not {episode}")
     (demonstration,) = load(folder, view=view, only=(episode,))
     if not -len(demonstration) <= step < len(demonstration):
         raise ValueError(f"episode {episode} of {folder} has steps 0 to {len(demonstration) - 1}, not {step}")
@@ -65,17 +63,13 @@ def read_image(path: Path, sensors: Sensors, view: View | None = None) -> UInt8[
         view: how the model saw its recordings (`storage.runs.read_view`); by default whole and in its own size.
 
     Raises:
-        ValueError: it is no image or none of 8 bits, has other proportions than the recordings, or lacks the depth that the model sees.
+        ValueError: it is no image, has other proportions than the recordings, or lacks the depth that the model sees.
     """
     try:
-        with Image.open(path) as image:
-            mode = image.mode
-            picture = np.array(image if mode in MODES else image.convert("RGB"))  # a copy, for torch wants to own it
-    except UNDECODABLE as error:
-        raise ValueError(f"{path} is not an image that can be read: give a PNG or JPEG file") from error
-    if mode.startswith(("I", "F")):  # Pillow cuts off at 255 what is brighter
-        raise ValueError(f"{path} has more than 8 bits a pixel: give an 8-bit image")
-    frame = look(picture.reshape(*picture.shape[:2], -1), view or seen_by(sensors), str(path))
+        whole = picture(path)
+    except NotShown as error:
+        raise ValueError(f"{path} is not an image that can be read: it {error}") from error
+    frame = look(whole, view or seen_by(sensors), str(path))
     if sensors.channels == 4 and frame.shape[-1] != 4:
         raise ValueError(f"{path} has no depth, which the model sees: give a PNG whose fourth channel is the depth")
-    return np.array(frame)
+    return np.array(frame)  # a copy, for torch wants to own it

@@ -1,6 +1,6 @@
 """How a recording is looked at: which camera and which joints, which part of the picture, how large, in grey or in colour.
 
-What a view leaves open is settled by the data. Where no size is asked for,
+What a view leaves open is resolved by the data. Where no size is asked for,
 
 - frames whose sides are multiples of 16 and at most 128 stay as they are;
 - others with no side above 64 are brought to the nearest multiples of 16, except where a side is shorter than that;
@@ -9,10 +9,10 @@ What a view leaves open is settled by the data. Where no size is asked for,
 >>> default_size(480, 640), default_size(720, 1280), default_size(96, 128), default_size(50, 60)
 ((48, 64), (32, 64), (96, 128), (48, 64))
 
-A settled view goes with the trained model, and later pictures, of goals above all, are looked at in the same way. Nothing is stretched
+A resolved view goes with the trained model, and later pictures, of goals above all, are looked at in the same way. Nothing is stretched
 further than `size` asks for: a picture of other proportions than the recordings is refused.
 
->>> view = settled(View(crop=(0, 80, 480, 480)), 480, 640)
+>>> view = resolved(View(crop=(0, 80, 480, 480)), 480, 640)
 >>> large, small = (np.zeros((height, width, 3), np.uint8) for height, width in ((480, 640), (240, 320)))
 >>> view.size, look(large, view, "goal.png").shape, look(small, view, "goal.png").shape
 ((64, 64), (64, 64, 3), (64, 64, 3))
@@ -27,6 +27,7 @@ import tyro
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
+from preimage.data.angles import Wrap
 from preimage.network.config import Sensors
 
 LADDER = 16
@@ -54,7 +55,9 @@ class View:
     """How recordings are looked at."""
 
     camera: str | None = None
-    """Name of the camera; needed only where there are several."""
+    """Name of the camera, or the end of it, as front for observation.images.front; needed only where there are several."""
+    state: tuple[str, ...] | None = None
+    """Names of the columns that hold the joints, one after the other; by default observation.state."""
     joints: tuple[str, ...] | None = None
     """Names of the joints; by default those that move, and all of them in a data set that was written here."""
     crop: tuple[int, int, int, int] | None = None
@@ -64,7 +67,18 @@ class View:
     colour: Literal["keep", "grey", "colour"] = "keep"
     """Grey or colour; keep takes what there is, and grey that was copied into three channels as grey."""
     recorded: Annotated[tuple[int, int] | None, tyro.conf.Suppress] = None
-    """Height and width of the recordings before the crop; the data settle it."""
+    """Height and width of the recordings before the crop; the data resolve it."""
+    wraps: Annotated[tuple[str, ...] | None, tyro.conf.Suppress] = None
+    """Names of the joints whose readings wrap and are unwrapped (`data.angles`); the data resolve it."""
+    turns: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
+    """A full turn of each of them, in its unit."""
+    seams: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
+    """The reading above which the first of an episode is taken, for each of them."""
+
+
+def unwraps(view: View) -> list[Wrap]:
+    """How the view unwraps joints."""
+    return [Wrap(*wrap) for wrap in zip(view.wraps or (), view.turns, view.seams, strict=True)]
 
 
 def default_size(height: int, width: int) -> tuple[int, int]:
@@ -78,8 +92,8 @@ def default_size(height: int, width: int) -> tuple[int, int]:
     return tall, wide
 
 
-def settled(view: View, height: int, width: int) -> View:
-    """The view with its size settled for recordings of this height and width.
+def resolved(view: View, height: int, width: int) -> View:
+    """The view with its size resolved for recordings of this height and width.
 
     Raises:
         ValueError: the crop does not lie in the picture, or the size is no size.
@@ -96,7 +110,7 @@ def settled(view: View, height: int, width: int) -> View:
 
 
 def look(frame: Frame, view: View, where: str) -> Viewed:
-    """What a settled view shows of a picture: of the recordings' size, of their proportions, or as small as the network sees it already.
+    """What a resolved view shows of a picture: of the recordings' size, of their proportions, or as small as the network sees it already.
 
     Args:
         where: what to call the picture where it does not fit.
@@ -104,8 +118,8 @@ def look(frame: Frame, view: View, where: str) -> Viewed:
     Raises:
         ValueError: the picture has other proportions than the recordings.
     """
-    assert view.recorded, "settle the view first"
-    assert view.size, "settle the view first"
+    assert view.recorded, "resolve the view first"
+    assert view.size, "resolve the view first"
     refuse_other_proportions(frame.shape[:2], view, where)
     if view.crop and (frame.shape[:2] == view.recorded or frame.shape[:2] != view.size):
         by = frame.shape[0] / view.recorded[0]
@@ -116,8 +130,8 @@ def look(frame: Frame, view: View, where: str) -> Viewed:
 
 def refuse_other_proportions(came: tuple[int, ...], view: View, where: str) -> None:
     """Raises ValueError where a picture of this (height, width) cannot be looked at through the view without stretching it."""
-    assert view.recorded, "settle the view first"
-    assert view.size, "settle the view first"
+    assert view.recorded, "resolve the view first"
+    assert view.size, "resolve the view first"
     (height, width), (tall, wide) = came, view.recorded
     if (height, width) == view.size or abs(height * wide / (width * tall) - 1) < ALIKE:
         return
@@ -167,7 +181,7 @@ def moving(recordings: Sequence[Float[np.ndarray, "_T J"]]) -> Bool[np.ndarray, 
 
 
 class Eye:
-    """Looks at the pictures of a data set one by one, so that few large ones are in memory; the first settles what the view leaves open."""
+    """Looks at the pictures of a data set one by one, so that few large ones are in memory; the first one resolves the view."""
 
     def __init__(self, view: View) -> None:
         self.view = view
@@ -188,17 +202,17 @@ class Eye:
                     f"{where}, step {step} has a frame of {picture.shape}, the first is of {self._kind} (H, W, C): give all one size"
                 )
             else:
-                self._settle(picture, where)
+                self._resolve(picture, where)
                 frames.append(look(picture, self.view, where))
         return np.stack(frames) if frames else np.zeros((0, 0, 0, 1), np.uint8), tuple(faults)
 
-    def _settle(self, picture: Frame, where: str) -> None:
+    def _resolve(self, picture: Frame, where: str) -> None:
         if self._kind is None:
             self._kind = picture.shape
-            self.view = self.view if self.view.recorded else settled(self.view, *picture.shape[:2])
+            self.view = self.view if self.view.recorded else resolved(self.view, *picture.shape[:2])
 
 
 def seen_by(sensors: Sensors) -> View:
     """The view that shows recordings of a model's own frame size as the model sees them."""
     size = sensors.height, sensors.width
-    return View(joints=sensors.joint_names, size=size, colour=COLOURS.get(sensors.channels, "keep"), recorded=size)
+    return View(joints=sensors.joint_names, size=size, colour=COLOURS.get(sensors.channels, "keep"), recorded=size, wraps=())

@@ -13,7 +13,7 @@ Two ways of different lengths are compared at the same share of the way, from 0 
 [0.0, 0.5, 1.0, 1.5, 2.0]
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from preimage.compute.processes import Crew
-from preimage.data.dataset import fingerprint, load
+from preimage.data.dataset import fingerprint, open_recordings
 from preimage.data.sequences import at_rate
 from preimage.evaluation.evaluate import goal_of, nearest_shown
 from preimage.presets import Planner, PlanOptions, load_planner
@@ -30,7 +30,7 @@ from preimage.records import Demonstration, Plan, Shown, number_of
 from preimage.report import film
 from preimage.storage.atomic_write import write_json
 from preimage.storage.provenance import provenance
-from preimage.storage.runs import find_run, made_from, read_config, read_shown, read_view
+from preimage.storage.runs import episodes_of, find_run, made_from, read_config, read_shown, read_view
 
 NOTE = "How near what is imagined comes to what was recorded. This is no success rate: no robot moved, and other ways may lead there too."
 NUM_MOMENTS = 50
@@ -143,10 +143,14 @@ def compare_run(
     options: PlanOptions,
     progress: Callable[[int, int], None],
     crew: Crew = Crew(),  # noqa: B008, frozen
+    only: Collection[int] | None = None,
+    without: Collection[int] = (),
 ) -> list[str]:
     """Compare a run with the episodes of a data set that it was not trained on, and write the result as JSON and a few films.
 
     Args:
+        only: numbers of the episodes to compare with; by default all, of the data set that was trained on those the run was given.
+        without: numbers of episodes to leave out.
         progress: called after each episode of this process with the number done and the number of its own.
         crew: the processes that share the episodes, of which only the first writes.
 
@@ -157,9 +161,12 @@ def compare_run(
         ValueError: there is no such run or data set, they do not fit together, or every episode was trained on.
     """
     folder = find_run(run)
-    planner = load_planner(folder, options, device=crew.device)
-    shown, recorded = read_shown(folder), load(data, view=read_view(folder))
-    episodes = never_shown(recorded, shown)
+    planner, shown = load_planner(folder, options, device=crew.device), read_shown(folder)
+    if only is None and (read_config(folder).get("data") or {}).get("name") == data.name:
+        only = episodes_of(folder)
+    opened = open_recordings(data, view=read_view(folder), only=only, without=without)
+    recorded = dict(zip(opened.episodes, opened.demonstrations, strict=True))
+    episodes = [opened.episodes[place] for place in never_shown(opened.demonstrations, shown)]
     if not episodes:
         raise ValueError(f"{run} was trained on every episode of {data}: train with --hold-out 4, or give other recordings")
     done: list[Compared] = []
@@ -171,7 +178,7 @@ def compare_run(
     chosen = {episode: recorded[episode] for episode in episodes}
     compared = compare(planner, chosen, shown=shown, progress=tell, crew=crew)
     result = result_of_comparison(
-        compared, about_run(run, folder, data, recorded) | {"plan": asdict(options), "provenance": provenance(crew.device)}
+        compared, about_run(run, folder, data, opened.demonstrations) | {"plan": asdict(options), "provenance": provenance(crew.device)}
     )
     if not crew.first:
         return []

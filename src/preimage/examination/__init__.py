@@ -1,7 +1,7 @@
 """The doctor for recordings: looks through them and says what is broken, what will make plans worse, and what would help.
 
 It reads no file and draws nothing. Each threshold stands by its name, with the reason for it, beside the finding that uses it:
-`recording` (lengths, clock), `joints`, `pictures` and `viewpoint` (camera), `goals`.
+`recording` (lengths, clock), `selection` (tasks, what is a joint), `joints`, `timing`, `pictures` and `viewpoint` (camera), `goals`.
 
 >>> import numpy as np
 >>> from preimage.records import Episode
@@ -14,16 +14,20 @@ It reads no file and draws nothing. Each threshold stands by its name, with the 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from preimage.examination.findings import Finding, Kind, Severity
 from preimage.examination.goals import coverage, duplicates, spacing, untold
 from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrest
 from preimage.examination.pictures import blank, moved, scene, stuck
 from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths, unreadable
-from preimage.examination.seen import Seen, look_through
+from preimage.examination.seen import RATE_HZ, Seen, look_through
+from preimage.examination.selection import clocks, gaps, tasks, unwrap
+from preimage.examination.timing import lag, stale, waits
 from preimage.examination.viewpoint import CameraMove, camera_moves
-from preimage.records import Episode, number_of
+from preimage.records import Demonstration, Episode, number_of
 
-__all__ = ["CameraMove", "Examination", "Finding", "Kind", "Seen", "Severity", "examine"]
+__all__ = ["CameraMove", "Examination", "Finding", "Kind", "Seen", "Severity", "examine", "validate"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,33 +51,62 @@ class Examination:
             return f"Mend first: {', '.join(faults)}. It cannot be trained on as it is; each fault above says what would help."
         if warnings := self._named(Severity.WARNING):
             return f"Will train, but: {', '.join(warnings)}. Plans will be worse than they could be; each warning says what would help."
-        return f"Ready to train: nothing stands in the way of learning from {number_of(len(self.seen), 'episode')}."
+        ready = f"Ready to train: nothing is wrong with the {number_of(len(self.seen), 'episode')}."
+        advice = [finding.kind.value for finding in self.findings if finding.help]
+        return f"{ready} What would make plans better is said above ({', '.join(advice)})." if advice else ready
 
     def _named(self, severity: Severity) -> list[str]:
         return list(dict.fromkeys(finding.kind.value for finding in self.findings if finding.severity is severity))
 
 
-def examine(episodes: Iterable[Episode]) -> Examination:
+def examine(episodes: Iterable[Episode], *, rate_hz: float = RATE_HZ, joints_chosen: bool = False) -> Examination:
     """What a careful person would find, had they looked at every frame. The episodes may come one by one: none is kept whole.
+
+    Args:
+        rate_hz: steps a second of the model that is going to be trained: what moves is measured from one of them to the next.
+        joints_chosen: the user has named the joints, so that nobody asks whether one of them is a clock.
 
     Raises:
         ValueError: there is no episode.
     """
-    seen = [look_through(episode) for episode in episodes]
+    seen = [look_through(episode, rate_hz=rate_hz) for episode in episodes]
     if not seen:
         raise ValueError("there is no episode to look at: record one or more")
     comparable, findings = alike(seen)
-    findings += [*unreadable(seen), *lengths(comparable), *durations(comparable), *not_finite(comparable)]
+    findings += [*unreadable(seen), *gaps(seen), *lengths(comparable), *durations(comparable), *not_finite(comparable), *tasks(seen)]
     whole = [one for one in comparable if min(one.num_frames, one.num_steps) >= LEAST_STEPS]
     moves = camera_moves(whole)
     if whole:
-        findings += _findings(whole, moves)
+        findings += clocks(whole, chosen=joints_chosen)
+        whole, wraps = unwrap(whole)
+        findings += [*wraps, *_findings(whole, moves)]
     order = list(Severity)
     return Examination(sorted(findings, key=lambda finding: order.index(finding.severity)), seen, moves)
 
 
+def validate(demonstrations: Sequence[Demonstration], episodes: Sequence[int]) -> None:
+    """Nothing is trained on that an examination would call a fault of the whole set; all other faults are refused as the set is opened.
+
+    Args:
+        episodes: their numbers.
+
+    Raises:
+        ValueError: no joint moves, no frame shows anything, or the camera stands still while the arm moves.
+    """
+    if not any(np.ptp(one.joints, axis=0).any() for one in demonstrations):
+        raise ValueError("no joint ever moves: look whether the joints were recorded")
+    seen: list[Seen] = []
+    for number, one in zip(episodes, demonstrations, strict=True):
+        seen.append(look_through(Episode(number, one.frames, one.joints, one.joint_names, None, len(one), one.rate_hz, None)))
+        if not [*blank(seen[-1:]), *stuck(seen[-1:])]:
+            return
+    for finding in (*blank(seen), *stuck(seen)):
+        if finding.severity is Severity.FAULT:
+            raise ValueError(f"{finding.what}: {finding.help}")
+
+
 def _findings(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> list[Finding]:
     apart = spacing(seen)
-    of_arm = [*clock(seen), *frozen(seen), *out_of_range(seen), *jumps(seen), *unrest(seen)]
-    of_camera = [*blank(seen), *stuck(seen), *moved(seen, moves)]
+    of_arm = [*clock(seen), *frozen(seen), *out_of_range(seen), *jumps(seen), *waits(seen), *unrest(seen)]
+    of_camera = [*blank(seen), *stuck(seen), *stale(seen), *lag(seen), *moved(seen, moves)]
     return [*of_arm, *of_camera, *duplicates(seen, apart), *untold(seen, moves), *starts(seen), *coverage(seen, apart), *scene(seen)]

@@ -1,9 +1,10 @@
 """What an examination says: findings, each of a kind and a severity, and the words for where they are."""
 
 import enum
-import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
+
+from preimage.records import listed
 
 
 class Severity(enum.Enum):
@@ -21,6 +22,10 @@ class Kind(enum.Enum):
     """What is found; the value is its name on the command line and on the page."""
 
     UNREADABLE = "unreadable parts"
+    GAPS = "missing episodes"
+    TASKS = "several tasks"
+    COUNTER = "clocks among the joints"
+    WRAPS = "angles that wrap"
     UNLIKE = "episodes unlike each other"
     LENGTHS = "missing or extra frames"
     DURATION = "unusual duration"
@@ -29,10 +34,13 @@ class Kind(enum.Enum):
     FROZEN = "frozen joints"
     JUMP = "jumps"
     RANGE = "joints out of range"
+    WAITS = "long rest at the start"
     UNREST = "no rest at the end"
     STARTS = "starts differ"
     BLANK = "blank frames"
     STUCK = "camera stuck"
+    STALE = "stale first frames"
+    LAG = "camera lags"
     MOVED = "camera moved"
     DUPLICATES = "duplicate goals"
     UNTOLD = "joints out of sight"
@@ -59,19 +67,6 @@ class Finding:
         return f"{self.severity.value}: {self.kind.value}: {self.what}{f'; {self.help}' if self.help else ''}"
 
 
-def listed(numbers: Iterable[int], most: int = 6) -> str:
-    """The numbers in words, neighbours drawn together.
-
-    >>> listed([3, 1, 2, 7]), listed(range(0, 40, 2))
-    ('1 to 3, 7', '0, 2, 4, 6, 8, 10 and 14 more')
-    """
-    ordered = sorted(set(numbers))
-    runs = [[number for _, number in run] for _, run in itertools.groupby(enumerate(ordered), lambda pair: pair[1] - pair[0])]
-    words = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
-    left = sum(map(len, runs[most:]))
-    return ", ".join(words[:most]) + (f" and {left} more" if left else "")
-
-
 def in_episodes(episodes: Iterable[int]) -> str:
     """
     >>> in_episodes([4]), in_episodes([4, 5])
@@ -79,6 +74,18 @@ def in_episodes(episodes: Iterable[int]) -> str:
     """
     chosen = sorted(set(episodes))
     return f"episode{'s' if len(chosen) != 1 else ''} {listed(chosen)}"
+
+
+def leaving_out(episodes: Iterable[int], most: int = 12) -> str:
+    """How to leave episodes out, ready to be copied.
+
+    >>> leaving_out([5, 4])
+    'leave them out (--without-episodes 4 5)'
+    """
+    chosen = sorted(set(episodes))
+    return f"leave {'it' if len(chosen) == 1 else 'them'} out (--without-episodes {' '.join(map(str, chosen[:most]))}" + (
+        f" and {len(chosen) - most} more)" if len(chosen) > most else ")"
+    )
 
 
 def episodes_of(places: Iterable[tuple[int, int]]) -> tuple[int, ...]:

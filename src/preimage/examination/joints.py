@@ -5,8 +5,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, listed
+from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, leaving_out
 from preimage.examination.seen import Seen, divisors, spans
+from preimage.records import listed
 
 FULL_TURN_RAD = 2 * np.pi
 """No joint of an arm turns farther to either side without its cable breaking."""
@@ -34,7 +35,7 @@ def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
         names = tuple(sorted(joints))
         what = f"{', '.join(names)} hold no number at {at_places(places)}"
         episodes = episodes_of(places)
-        yield Finding(Kind.NOT_FINITE, Severity.FAULT, what, "leave these episodes out", episodes, tuple(places), names)
+        yield Finding(Kind.NOT_FINITE, Severity.FAULT, what, leaving_out(episodes), episodes, tuple(places), names)
 
 
 def frozen(seen: Sequence[Seen]) -> Iterator[Finding]:
@@ -75,7 +76,7 @@ def jumps(seen: Sequence[Seen]) -> Iterator[Finding]:
     if places:
         names, episodes = _named(seen, joints), episodes_of(places)
         what = f"{', '.join(names)} jump at {at_places(places)}, far faster than anywhere else"
-        help_ = "leave these episodes out, or look at the sensor's cable"
+        help_ = f"{leaving_out(episodes)}, or look at the sensor's cable"
         yield Finding(Kind.JUMP, Severity.WARNING, what, help_, episodes, tuple(places), names)
 
 

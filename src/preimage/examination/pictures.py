@@ -5,7 +5,7 @@ from itertools import groupby
 
 import numpy as np
 
-from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes
+from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes, leaving_out
 from preimage.examination.seen import SIDE, Seen, divisors
 from preimage.examination.viewpoint import CameraMove, stretches
 from preimage.records import number_of
@@ -30,7 +30,7 @@ def blank(seen: Sequence[Seen]) -> Iterator[Finding]:
         yield Finding(Kind.BLANK, Severity.FAULT, "no frame shows anything", "look whether the right camera was recorded", episodes, places)
     else:
         what = f"{in_episodes(episodes)} hold {number_of(len(places), 'frame')} of one colour"
-        yield Finding(Kind.BLANK, Severity.WARNING, what, "leave these episodes out", episodes, places)
+        yield Finding(Kind.BLANK, Severity.WARNING, what, leaving_out(episodes), episodes, places)
 
 
 def stuck(seen: Sequence[Seen]) -> Iterator[Finding]:
@@ -44,7 +44,7 @@ def stuck(seen: Sequence[Seen]) -> Iterator[Finding]:
     if len(episodes) == len(seen):
         yield Finding(Kind.STUCK, Severity.FAULT, what, "look whether the camera was recorded at all", episodes, tuple(places))
     else:
-        yield Finding(Kind.STUCK, Severity.WARNING, what, "leave these episodes out", episodes, tuple(places))
+        yield Finding(Kind.STUCK, Severity.WARNING, what, leaving_out(episodes), episodes, tuple(places))
 
 
 def _stuck_at(one: Seen, scale: np.ndarray) -> Iterator[tuple[int, int]]:
@@ -62,7 +62,7 @@ def moved(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> Iterator[Finding
     between = ", ".join(f"{move.before} and {move.after}" for move in moves[:6])
     what = f"between episodes {between}{f' and {len(moves) - 6} more times' if len(moves) > 6 else ''}"
     what += f"; {len(shared)} of {len(seen)} episodes in a row share a viewpoint ({in_episodes(shared)})"
-    help_ = "clamp the camera, and train on the episodes that share a viewpoint"
+    help_ = "clamp the camera, and train on the episodes that share a viewpoint (--episodes)"
     yield Finding(Kind.MOVED, Severity.WARNING, what, help_, tuple(move.after for move in moves))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes
+from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes, leaving_out
 from preimage.examination.seen import Seen
 from preimage.records import number_of
 
@@ -33,7 +33,7 @@ def alike(seen: Sequence[Seen]) -> tuple[list[Seen], list[Finding]]:
     if not others:
         return list(seen), []
     what = f"{in_episodes(others)} differ from the others in frame size, rate or joints"
-    found = Finding(Kind.UNLIKE, Severity.FAULT, what, "record all with one setting, or leave these out", tuple(others))
+    found = Finding(Kind.UNLIKE, Severity.FAULT, what, f"record all with one setting, or {leaving_out(others)}", tuple(others))
     return [one for one in seen if one.index not in others], [found]
 
 
@@ -42,7 +42,13 @@ def unreadable(seen: Sequence[Seen]) -> Iterator[Finding]:
     if broken:
         count = sum(len(one.unreadable) for one in broken)
         what = f"{in_episodes(one.index for one in broken)} lack {number_of(count, 'part')}, the first: {broken[0].unreadable[0]}"
-        yield Finding(Kind.UNREADABLE, Severity.FAULT, what, "mend them, or leave these episodes out", tuple(one.index for one in broken))
+        yield Finding(
+            Kind.UNREADABLE,
+            Severity.FAULT,
+            what,
+            f"mend them, or {leaving_out(one.index for one in broken)}",
+            tuple(one.index for one in broken),
+        )
 
 
 def lengths(seen: Sequence[Seen]) -> Iterator[Finding]:
@@ -53,7 +59,7 @@ def lengths(seen: Sequence[Seen]) -> Iterator[Finding]:
     worst = max(wrong, key=lambda one: abs(one.num_frames - one.num_steps))
     counts = f"{worst.num_frames} frames, {worst.num_steps} rows of joints, {worst.declared_length} in the index"
     what = f"{in_episodes(one.index for one in wrong)} (episode {worst.index}: {counts})"
-    help_ = "record these again or leave them out: which frame belongs to which joints cannot be known"
+    help_ = f"record these again or {leaving_out(one.index for one in wrong)}: which frame belongs to which joints cannot be known"
     yield Finding(Kind.LENGTHS, Severity.FAULT, what, help_, tuple(one.index for one in wrong))
 
 
@@ -61,7 +67,7 @@ def durations(seen: Sequence[Seen]) -> Iterator[Finding]:
     empty = [one.index for one in seen if min(one.num_steps, one.num_frames) < LEAST_STEPS]
     if empty:
         what = f"{in_episodes(empty)} hold fewer than {LEAST_STEPS} steps"
-        yield Finding(Kind.DURATION, Severity.FAULT, what, "leave these out", tuple(empty))
+        yield Finding(Kind.DURATION, Severity.FAULT, what, leaving_out(empty), tuple(empty))
     whole = [one for one in seen if one.index not in empty]
     if not whole:
         return
@@ -86,7 +92,7 @@ def clock(seen: Sequence[Seen]) -> Iterator[Finding]:
     if late:
         longest = max(float(gaps.max()) for gaps in ticks.values())
         what = f"{len(late)} gaps of up to {longest:.2g} s where a step takes {tick:.2g} s ({at_places(late)}): samples were dropped"
-        yield Finding(Kind.CLOCK, Severity.WARNING, what, "leave these out, or record with less load", *_of(late))
+        yield Finding(Kind.CLOCK, Severity.WARNING, what, f"{leaving_out(episodes_of(late))}, or record with less load", *_of(late))
     uneven = _where(ticks, lambda gap: (np.abs(gap - tick) > JITTER * tick) & (gap <= DROPPED * tick))
     if uneven:
         what = f"{len(uneven)} samples come more than {100 * JITTER:.0f} % of a step too early or late ({at_places(uneven)})"

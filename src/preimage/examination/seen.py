@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from preimage.data.view import LONGEST, moving
+from preimage.network.config import ModelConfig
 from preimage.records import Episode
 
 SIDE = LONGEST
@@ -21,7 +22,11 @@ CHANGE = 20.0
 BLANK = 3.0
 """Grey levels of spread (standard deviation) within a frame, below which it shows nothing: a covered lens, black, one colour."""
 NUM_PAIRS = 6
-"""Pairs of neighbouring frames in an episode in which the size of what moves is measured."""
+"""Pairs of frames in an episode, a step of the model apart, in which the size of what moves is measured."""
+RATE_HZ = ModelConfig.rate_hz
+"""Steps a second of the model that is going to be trained, where nothing else is asked for: at 30 Hz nothing ever seems to move."""
+PACE_HZ = 10.0
+"""Recordings with a higher rate are compared over several steps: between two of them there is little but the noise of the camera."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +56,19 @@ class Seen:
     """Share of the frames in which a pixel differs from the background."""
     goal: Float32[np.ndarray, "h w"]
     """The last frame, small."""
+    pace: int
+    """Steps over which `changes_at_pace` is measured: a tenth of a second or so."""
+    changes_by_step: Float32[np.ndarray, " steps"]
+    """Mean change of a pixel from each frame to the next, beyond a change of brightness, each counted up to twice `CHANGE`."""
+    changes_at_pace: Float32[np.ndarray, " paces"]
+    """The same from each frame to that `pace` steps later."""
     same_as_before: Bool[np.ndarray, " steps"]
     """Whether frame t + 1 equals frame t in every bit."""
     blank: Bool[np.ndarray, " F"]
     moving_px: float
-    """Side of the square as large as the largest thing that moves between two frames, median over the pairs; 0 where nothing does."""
+    """Side of the square as large as the largest thing that moves in a step of the model, median over the pairs; 0 where nothing does."""
+    task: str | None
+    """What it shows, in words, where the recording says."""
 
     @property
     def sees(self) -> bool:
@@ -67,8 +80,13 @@ class Seen:
         return len(self.recorded_joints)
 
 
-def look_through(episode: Episode) -> Seen:
-    """The episode, its frames digested."""
+def look_through(episode: Episode, *, rate_hz: float = RATE_HZ) -> Seen:
+    """The episode, its frames digested.
+
+    Args:
+        rate_hz: steps a second of the model that is going to be trained.
+    """
+    pace = max(1, round(episode.rate_hz / PACE_HZ))
     frames, num_frames = episode.frames, len(episode.frames)
     small = shrunk(frames)  # (F, h, w)
     quarters = np.percentile(small, [25, 50, 75], axis=0).astype(np.float32) if num_frames else np.zeros((3, *small.shape[1:]), np.float32)
@@ -90,9 +108,13 @@ def look_through(episode: Episode) -> Seen:
         unsteady=quarters[2] - quarters[0],
         changes=away.mean(0, dtype=np.float32) if num_frames else quarters[0],
         goal=small[-1] if num_frames else quarters[0],
+        pace=pace,
+        changes_by_step=_changes(small, 1),
+        changes_at_pace=_changes(small, pace),
         same_as_before=np.array([np.array_equal(a, b) for a, b in itertools.pairwise(frames)], bool),
         blank=small.std((1, 2)) < BLANK if num_frames else np.zeros(0, bool),
-        moving_px=_moving_px(small),
+        moving_px=_moving_px(small, max(1, round(episode.rate_hz / rate_hz))),
+        task=episode.task,
     )
 
 
@@ -128,11 +150,20 @@ def _mended(joints: Float[np.ndarray, "T J"]) -> Float[np.ndarray, "T J"]:
     return mended
 
 
-def _moving_px(small: Float32[np.ndarray, "F h w"]) -> float:
+def _changes(small: Float32[np.ndarray, "F h w"], pace: int) -> Float32[np.ndarray, " changes"]:
+    if len(small) <= pace:
+        return np.zeros(0, np.float32)
+    change = small[pace:] - small[:-pace]  # (changes, h, w)
+    change -= np.median(change, axis=(1, 2), keepdims=True)
+    return np.minimum(np.abs(change), 2 * CHANGE).mean((1, 2))
+
+
+def _moving_px(small: Float32[np.ndarray, "F h w"], stride: int) -> float:
     if len(small) < 2:
         return 0.0
-    pairs = np.unique(np.linspace(0, len(small) - 2, NUM_PAIRS).astype(int))
-    sizes = [np.sqrt(largest_blob(np.abs(small[t + 1] - small[t]) > CHANGE)) for t in pairs]
+    stride = min(stride, len(small) - 1)
+    pairs = np.unique(np.linspace(0, len(small) - 1 - stride, NUM_PAIRS).astype(int))
+    sizes = [np.sqrt(largest_blob(np.abs(small[t + stride] - small[t]) > CHANGE)) for t in pairs]
     moving = [size for size in sizes if size > 0]
     return float(np.median(moving)) if moving else 0.0
 

@@ -67,8 +67,12 @@ class ModelConfig:
         return replace(cls.table_1().as_paper(), rate_hz=10.0)
 
     def as_paper(self) -> Self:
-        """A network of this size with the paper's intention: free initial states."""
-        return replace(self, intention="free", intention_layers=None, intention_cost=1e-5, intention_noise=0.2, keypoints=0)
+        """A network of this size with the paper's intention: free initial states of the top and the highest level of both paths.
+
+        With those of all layers, what is found shows the goal as well, and its joints are further off (docs/log.md).
+        """
+        layers = "top", f"vision{self.num_levels}", f"motor{self.num_levels}"
+        return replace(self, intention="free", intention_layers=layers, intention_cost=1e-4, intention_noise=0.2, keypoints=0)
 
     @property
     def num_levels(self) -> int:

@@ -24,8 +24,14 @@ MOST_SHOWN, MOST_MOVES, MOST_JOINTS = 40, 6, 32
 """Episodes on the contact sheet, camera moves and joints that are drawn: what one can look at."""
 
 
-def examined_page(examination: Examination, path: str | os.PathLike[str], *, title: str) -> Path:
+def examined_page(
+    examination: Examination, path: str | os.PathLike[str], *, title: str, camera: str | None = None, joint_unit: str | None = None
+) -> Path:
     """Writes the page, self-contained HTML that opens without a network.
+
+    Args:
+        camera: the name of the camera that was looked through.
+        joint_unit: the unit of the joints, where the data set says.
 
     Raises:
         OSError: the disk is full or forbidden.
@@ -33,22 +39,23 @@ def examined_page(examination: Examination, path: str | os.PathLike[str], *, tit
     path = Path(path)
     body = [
         f"<h1>{escape(title)}</h1>",
-        _facts(examination.seen),
+        _facts(examination.seen, camera, joint_unit),
         f'<div class="headline"><b>{escape(examination.verdict)}</b></div>',
         _table(examination.findings),
-        *_pictures(examination),
+        *_pictures(examination, joint_unit),
     ]
     with atomic_write(path) as unfinished:
         unfinished.write_text(document(title, "\n".join(body)), encoding="utf-8")
     return path
 
 
-def _facts(seen: Sequence[Seen]) -> str:
+def _facts(seen: Sequence[Seen], camera: str | None, joint_unit: str | None) -> str:
     first, steps = next((one for one in seen if one.num_frames), seen[0]), sum(one.num_steps for one in seen)
     height, width, channels = first.shape
     facts = f"{number_of(len(seen), 'episode')} · {number_of(steps, 'step')} at {first.rate_hz:g} Hz"
-    facts += f" · frames {height} x {width} x {channels}"
-    return f'<p class="facts">{escape(facts)} · {number_of(len(first.joint_names), "joint")}</p>'
+    facts += f" · {f'camera {camera}, ' if camera else ''}frames {width} x {height} pixels, {number_of(channels, 'channel')}"
+    facts += f" · {number_of(len(first.joint_names), 'joint')} in {joint_unit or 'the unit of the data'}"
+    return f'<p class="facts">{escape(facts)}</p>'
 
 
 def _table(findings: Sequence[Finding]) -> str:
@@ -63,7 +70,7 @@ def _table(findings: Sequence[Finding]) -> str:
     )
 
 
-def _pictures(examination: Examination) -> list[str]:
+def _pictures(examination: Examination, joint_unit: str | None) -> list[str]:
     """Those that can be drawn: without a frame or a joint there is nothing to show."""
     shown = [one for one in examination.seen if one.first is not None and one.num_steps]
     alike = [one for one in shown if (one.joint_names, one.background.shape) == (shown[0].joint_names, shown[0].background.shape)]
@@ -74,7 +81,7 @@ def _pictures(examination: Examination) -> list[str]:
     if examination.moves:
         words = "What a pixel mostly shows in the episode before and after, and where the two differ."
         pictures.append(_picture("Where the camera moved", words, _moves(shown, examination.moves)))
-    words = "Every episode is a line; flagged places are red."
+    words = f"Every episode is a line, in {joint_unit or 'the unit of the data'}; flagged places are red."
     pictures.append(_picture("Joints over time", words, _joints(alike, examination.findings)))
     if len(alike) > 2:
         words = "The joints of the last step, in the two directions in which they differ most: what lies close together is alike."

@@ -244,6 +244,17 @@ def read_view(name: str | Path) -> View:
     return kept_by(name, View, "view", seen_by)
 
 
+def episodes_of(name: str | Path) -> tuple[int, ...] | None:
+    """The numbers of the episodes that the run was given, trained on or held out; None where it was given all there are, or does not say.
+
+    Raises:
+        ValueError: there is no such run, or its config.json is broken.
+    """
+    data = read_config(find_run(name)).get("data")
+    kept = data.get("episodes") if isinstance(data, dict) else None
+    return tuple(kept) if isinstance(kept, list) and all(isinstance(number, int) for number in kept) else None
+
+
 def read_body(name: str | Path) -> Body:
     """All joints of the recordings that the run learned from, those that it does not move too.
 

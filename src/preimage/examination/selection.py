@@ -1,0 +1,66 @@
+"""What is to be learned, and from which episodes: one task, joints that are no clocks, and angles that were unwrapped."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from preimage.data.angles import find_wraps, unwrapped
+from preimage.data.clocks import asked_about, is_clock
+from preimage.data.dataset import cannot_unwrap, reads_past
+from preimage.examination.findings import Finding, Kind, Severity, in_episodes
+from preimage.examination.seen import Seen
+from preimage.records import listed, number_of
+
+MOST_TASKS = 4
+"""Tasks that are named."""
+
+
+def clocks(seen: Sequence[Seen], *, chosen: bool) -> Iterator[Finding]:
+    """Joints that are clocks; where the user has named the joints, they know."""
+    names = seen[0].joint_names
+    if chosen:
+        return
+    if question := asked_about(names, [one.joints for one in seen]):
+        what, _, help_ = question.partition(": ")
+        yield Finding(Kind.COUNTER, Severity.FAULT, what, help_)
+    if known := tuple(name for name in names if is_clock(name)):
+        what = f"{', '.join(known)} {'is a clock' if len(known) == 1 else 'are clocks'} and no joint; training leaves it out"
+        yield Finding(Kind.COUNTER, Severity.NOTE, what, joints=known)
+
+
+def unwrap(seen: Sequence[Seen]) -> tuple[list[Seen], list[Finding]]:
+    """The episodes with the angles that wrap unwrapped, as training does, and a finding about each of them."""
+    names = seen[0].joint_names
+    wraps = find_wraps([one.joints for one in seen], names, episodes=[one.index for one in seen])
+    findings = []
+    for wrap in wraps:
+        if wrap.impossible:
+            what, _, help_ = cannot_unwrap(wrap, [name for name in names if name != wrap.joint]).partition(": ")
+            findings.append(Finding(Kind.WRAPS, Severity.FAULT, what, help_, joints=(wrap.joint,)))
+        elif wrap.episodes:
+            what = f"{reads_past(wrap, len(seen))}, in training too"
+            findings.append(Finding(Kind.WRAPS, Severity.NOTE, what, episodes=wrap.episodes, joints=(wrap.joint,)))
+    return [replace(one, joints=unwrapped(one.joints, names, wraps)) for one in seen], findings
+
+
+def tasks(seen: Sequence[Seen]) -> Iterator[Finding]:
+    """More tasks than one in a set: a goal picture does not say which is meant."""
+    by_task: dict[str, list[int]] = {}
+    for one in seen:
+        if one.task:
+            by_task.setdefault(one.task, []).append(one.index)
+    if len(by_task) < 2:
+        return
+    named = [f"{task!r} ({in_episodes(episodes)})" for task, episodes in list(by_task.items())[:MOST_TASKS]]
+    more = f" and {len(by_task) - MOST_TASKS} more" if len(by_task) > MOST_TASKS else ""
+    what = f"the set holds {number_of(len(by_task), 'task')}: {', '.join(named)}{more}"
+    first = " ".join(map(str, next(iter(by_task.values()))[:3]))
+    yield Finding(Kind.TASKS, Severity.WARNING, what, f"train on one of them at a time, by its episodes (--episodes {first} ...)")
+
+
+def gaps(seen: Sequence[Seen]) -> Iterator[Finding]:
+    """Numbers that the index passes over: episodes that somebody took out, or that were not copied."""
+    there = {one.index for one in seen}
+    absent = sorted(set(range(max(there) + 1)) - there)
+    if absent:
+        what = f"{in_episodes(absent)} {'is' if len(absent) == 1 else 'are'} not among them ({listed(there)})"
+        yield Finding(Kind.GAPS, Severity.NOTE, what)
