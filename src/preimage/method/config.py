@@ -69,9 +69,13 @@ class PlanConfig:
     """Intentions regressed side by side, each from its own initial guess; the best is the plan's."""
     initial_deviation: float = 0.2
     """Standard deviation of a random initial guess, in those of the training intentions: from the middle all of them are near."""
+    screening: int = 20
+    """Iterations after which only the finalists go on."""
+    finalists: int = 2
+    """Candidates that go on, those with the least error."""
     iterations: int = 100
     """Iterations at the most."""
-    learning_rate: float = 0.05
+    learning_rate: float = 0.1
     """Adam's rate, in standard deviations of the training intentions."""
     intention_cost: float = 0.001
     """Charge for the squared size of the intention, in standard deviations: how near the search stays to what was learned."""
@@ -87,7 +91,7 @@ class PlanConfig:
     """Draws the initial guesses."""
 
     def __post_init__(self) -> None:
-        at_least = {"candidates": 1, "horizon": 1, "dimensions": 1, "iterations": 0, "intention_cost": 0, "search_seed": 0}
+        at_least = {"candidates": 1, "finalists": 1, "screening": 0, "horizon": 1, "dimensions": 1, "iterations": 0, "intention_cost": 0, "search_seed": 0}
         validate(self, at_least=at_least | {"initial_deviation": 0}, above_zero=("learning_rate", "delay_penalty"))
         if self.modalities not in ("vision", "joints", "both"):
             raise ValueError(f"modalities is {self.modalities}: give vision, joints or both")

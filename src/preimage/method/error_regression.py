@@ -1,8 +1,10 @@
 """Error regression: move an intention until what is imagined from it has the least prediction error, the weights frozen (section II-C).
 
-The error is carried back through the whole imagined sequence, and Adam moves the intention. Several intentions are regressed side by
-side, for the error has many valleys.
+The error is carried back through the whole imagined sequence, and Adam moves the intention. As the error has many valleys, several
+intentions begin side by side, and those that came lowest after a while go on.
 """
+
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -15,32 +17,48 @@ PATIENCE, LEAST_GAIN = 20, 0.002
 """A search has converged when so many iterations lowered the error by less than this share of it."""
 
 
-def adam(problem: Problem, objective: Objective, guesses: Float[Tensor, "B K"]) -> Regression:
-    """Lower the error from each of the guesses by gradient descent through time.
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """For each of B intentions the best iterate, by the error and the charge for the intention together."""
 
-    The charge for the intention is part of what is lowered and of what the best iterate is chosen by. The error that is returned is the
-    prediction error of the intention that is returned: the last value of a loop belongs to the step before.
-    """
-    config, space = problem.config, problem.space
+    points: Float[Tensor, "B K"]
+    charged: Float[Tensor, " B"]
+    error: Float[Tensor, " B"]
+    """The prediction error alone."""
+    lowest: list[Tensor]
+    """The lowest charged error of all, iteration by iteration."""
+    stopped: Stopped
+
+
+def adam(problem: Problem, objective: Objective, guesses: Float[Tensor, "B K"]) -> Regression:
+    """Lower the error from each of the guesses; after `config.screening` iterations the `config.finalists` that came lowest go on."""
+    config = problem.config
+    found = descend(problem, objective, guesses, min(config.screening, config.iterations))
+    lowest = found.lowest
+    if config.iterations > config.screening:
+        finalists = found.points[found.charged.argsort()[: config.finalists]]
+        found = descend(problem, objective, finalists, config.iterations - config.screening)
+        lowest = lowest + found.lowest[1:]  # the finalists' first iterate is the best of the screening
+    return Regression(problem.space.intention(found.points), found.error, torch.stack(lowest), found.stopped)
+
+
+def descend(problem: Problem, objective: Objective, guesses: Float[Tensor, "B K"], iterations: int) -> Descent:
+    """Gradient descent through time. The last value of a loop belongs to the step before, so that every iterate is judged by its own."""
     point = guesses.clone().requires_grad_()
-    optimiser = torch.optim.Adam([point], lr=config.learning_rate)
-    best, best_charged, best_error = guesses.clone(), guesses.new_full((len(guesses),), torch.inf), guesses.new_zeros(len(guesses))
+    optimiser = torch.optim.Adam([point], lr=problem.config.learning_rate)
+    points, charged, errors = guesses.clone(), guesses.new_full((len(guesses),), torch.inf), guesses.new_zeros(len(guesses))
     lowest: list[Tensor] = []
-    stopped = Stopped.ITERATIONS
-    for iteration in range(config.iterations + 1):
+    for iteration in range(iterations + 1):
         with torch.enable_grad():
-            error, _ = objective.errors(problem.imagine(space.intention(point)))
-            charged = error + config.intention_cost * point.square().sum(1)
-        better = charged.detach() < best_charged
-        best_charged = torch.where(better, charged.detach(), best_charged)
-        best_error = torch.where(better, error.detach(), best_error)
-        best[better] = point.detach()[better]
-        lowest.append(best_charged.min())
+            error, _ = objective.errors(problem.imagine(problem.space.intention(point)))
+            total = error + problem.config.intention_cost * point.square().sum(1)
+        better = total.detach() < charged
+        charged, errors = (torch.where(better, now.detach(), best) for now, best in ((total, charged), (error, errors)))
+        points[better] = point.detach()[better]
+        lowest.append(charged.min())
         if len(lowest) > PATIENCE and lowest[-1] > (1 - LEAST_GAIN) * lowest[-1 - PATIENCE]:
-            stopped = Stopped.CONVERGED
-            break
-        if iteration < config.iterations:
-            (point.grad,) = torch.autograd.grad(charged.sum(), point)
+            return Descent(points, charged, errors, lowest, Stopped.CONVERGED)
+        if iteration < iterations:
+            (point.grad,) = torch.autograd.grad(total.sum(), point)
             optimiser.step()
-    with torch.no_grad():
-        return Regression(space.intention(best), best_error, torch.stack(lowest), stopped)
+    return Descent(points, charged, errors, lowest, Stopped.ITERATIONS)
