@@ -12,7 +12,7 @@ from preimage.cli.screen import bar, known_task
 from preimage.compute.devices import Device
 from preimage.compute.processes import gather
 from preimage.data.clocks import bounds, is_rate
-from preimage.data.dataset import describe, fingerprint, open_recordings, read_episodes, save
+from preimage.data.dataset import describe, episode_numbers, fingerprint, open_recordings, read_episodes, save
 from preimage.data.view import View
 from preimage.evaluation.experiments import SIZES
 from preimage.evaluation.held_out import every_nth
@@ -63,7 +63,7 @@ def check(
     """Say whether recordings can be learned from, what is wrong with them and what would help.
 
     Args:
-        data: a LeRobotDataset, v3.0 or v2.1, or a folder of pictures and tables of joints.
+        data: a LeRobotDataset, v3.0, v2.1 or v2.0, or a folder of pictures and tables of joints.
         out: page to write, with pictures.
         episodes: numbers of the episodes to look at; by default all.
         without_episodes: numbers of episodes to leave out.
@@ -108,7 +108,7 @@ def train_(
     """Train a network on the demonstrations of a data set.
 
     Args:
-        data: a LeRobotDataset, v3.0 or v2.1, or a folder of pictures and tables of joints.
+        data: a LeRobotDataset, v3.0, v2.1 or v2.0, or a folder of pictures and tables of joints.
         out: run folder to write.
         size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
         resume: go on with the run in `out`, with the sizes, settings and held-out episodes it was started with.
@@ -129,7 +129,7 @@ def train_(
     """
     refuse_out_of_range(config)
     if resume:
-        view, episodes, without_episodes = read_view(out), episodes_of(out), ()
+        view, episodes, without_episodes = read_view(out), episodes_to_resume(out, data), ()
     opened = open_recordings(data, view=view, only=episodes, without=without_episodes)
     recorded, lines = opened.demonstrations, list(opened.summary)
     validate(recorded, opened.episodes)
@@ -172,6 +172,14 @@ def sized(size: str, **asked: Any) -> ModelConfig:
     config = replace(SIZES[size](), **{name: value for name, value in asked.items() if value is not None})
     refuse_out_of_range(config)
     return config
+
+
+def episodes_to_resume(out: Path, data: Path) -> tuple[int, ...] | None:
+    """The episodes that the run in `out` was given; ValueError where the data have others."""
+    given = episodes_of(out)
+    if given and not set(given) <= set(episode_numbers(data)):
+        raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
+    return given
 
 
 def begun_with(out: Path, data: Path, now: str) -> dict[str, Any]:
