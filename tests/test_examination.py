@@ -287,7 +287,7 @@ def test_videos_that_cannot_be_read_are_told_even_where_the_first_is_one(damaged
     with pytest.raises(SystemExit):
         main(["check", str(folder), "--out", str(tmp_path / "check.html")])
     *_, verdict = capsys.readouterr().out.splitlines()
-    assert verdict.startswith("Mend first: unreadable parts, unusual duration.")
+    assert verdict.startswith("Mend first: unreadable parts.")
 
 
 def test_the_verb_prints_a_finding_a_line_and_the_verdict_last(data, tmp_path, capsys):

@@ -64,7 +64,7 @@ def check(
     """Say whether recordings can be learned from, what is wrong with them and what would help.
 
     Args:
-        data: a LeRobotDataset, v3.0 or v2.1, or a folder of pictures and tables of joints.
+        data: a LeRobotDataset, v3.0, v2.1 or v2.0, or a folder of pictures and tables of joints.
         out: page to write, with pictures.
         episodes: numbers of the episodes to look at; by default all.
         without_episodes: numbers of episodes to leave out.
@@ -116,7 +116,7 @@ def train_(
     """Train a network on the demonstrations of a data set.
 
     Args:
-        data: a LeRobotDataset, v3.0 or v2.1, or a folder of pictures and tables of joints.
+        data: a LeRobotDataset, v3.0, v2.1 or v2.0, or a folder of pictures and tables of joints.
         out: run folder to write.
         size: tiny learns nothing worth seeing, small takes minutes on two cores, paper is Table I.
         resume: go on with the run in `out`, with the sizes, settings and held-out episodes it was started with.
@@ -145,11 +145,11 @@ def train_(
     from preimage.report import learning_curve
     from preimage.storage.checkpoints import goes_on
     from preimage.storage.provenance import provenance
-    from preimage.storage.runs import episodes_of, read_settings, read_view, write_card
+    from preimage.storage.runs import read_settings, read_view, write_card
 
     resumed = goes_on(out, resume=resume)
     if resumed:
-        view, episodes, without_episodes = read_view(out), episodes_of(out), ()
+        view, episodes, without_episodes = read_view(out), episodes_to_resume(out, data), ()
     opened = open_recordings(data, view=view, only=episodes, without=without_episodes)
     recorded, lines = opened.demonstrations, list(opened.summary)
     validate(recorded, opened.episodes)
@@ -213,6 +213,14 @@ def settings_to_go_on_with(out: Path, asked: TrainOptions) -> tuple[TrainOptions
 def sized(size: str, preset: Preset, **asked: Any) -> ModelConfig:
     """The network of a size and a preset, with what was asked for in place of its own; ValueError where that is out of range."""
     return replace(network_config(size, preset), **{name: value for name, value in asked.items() if value is not None})
+
+
+def episodes_to_resume(out: Path, data: Path) -> tuple[int, ...] | None:
+    """The episodes that the run in `out` was given; ValueError where the data have others."""
+    given = episodes_of(out)
+    if given and not set(given) <= set(episode_numbers(data)):
+        raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
+    return given
 
 
 def begun_with(out: Path, data: Path, now: str) -> dict[str, Any]:

@@ -4,10 +4,11 @@ The readings of such a joint lie on a circle. Where the whole set leaves a gap o
 one turn, and two episodes, or a start alone, agree on where the joint stands. Where it leaves none, the starts may, and from its start each
 episode is followed step by step.
 
->>> up, down = np.array([[150.0], [165], [175], [-170]]), np.array([[-160.0], [-178], [175]])
->>> (wrap,) = find_wraps([up, down], ("wrist",))
->>> [unwrapped(joints, ("wrist",), [wrap])[:, 0].tolist() for joints in (up, down)]
-[[150.0, 165.0, 175.0, 190.0], [200.0, 182.0, 175.0]]
+>>> way = np.linspace(100.0, 200.0, 21)[:, None]
+>>> readings = (way + 180) % 360 - 180
+>>> (wrap,) = find_wraps([readings, readings[::-1]], ("wrist",))
+>>> readings[-3:, 0].tolist(), unwrapped(readings, ("wrist",), [wrap])[-3:, 0].tolist()
+([-170.0, -165.0, -160.0], [190.0, 195.0, 200.0])
 """
 
 from collections.abc import Sequence
@@ -28,6 +29,8 @@ CROSSING = 0.75
 """Share of a turn by which a reading leaps where it wraps."""
 PACES, LEAST_RESIDUAL = 2.0, 0.1
 """What is left of the leap beyond a turn is a step of the joint: at most so many times its fastest other step, or this share of a turn."""
+LEAST_STEPS = 24
+"""Steps of all episodes together from which on the way of a joint can be known."""
 SMOOTH = 0.08
 """Share of a turn that at least half of the steps stay below: what goes to and fro faster is no way of a joint."""
 DOUBTFUL = 0.4
@@ -99,7 +102,7 @@ def _turn_of(readings: Readings) -> float | None:
     span = float(np.ptp(values))
     steps = np.abs(np.concatenate([np.diff(each) for each in readings]))
     for turn in TURNS:
-        if len(steps) == 0 or np.median(steps) > SMOOTH * turn:
+        if len(steps) < LEAST_STEPS or np.median(steps) > SMOOTH * turn:
             continue
         if ALL_ROUND[0] * turn < span <= ALL_ROUND[1] * turn and (_wraps_within(steps, turn) or _wraps_between(readings, steps, turn)):
             return turn

@@ -134,7 +134,7 @@ def video_frames(path: Path, *, rate_hz: float, from_s: float = 0.0, to_s: float
     """The colour frames that a video shows from one time until before another; where it breaks off, a sentence says so.
 
     Args:
-        rate_hz: frames a second; times are told apart to half a frame.
+        rate_hz: frames a second; times are distinguished to half a frame.
         remedy: what would help where a part of it is damaged.
     """
     try:
@@ -146,6 +146,9 @@ def video_frames(path: Path, *, rate_hz: float, from_s: float = 0.0, to_s: float
     try:
         with av.open(str(path)) as container:
             stream = container.streams.video[0]
+            if stream.codec_context is None:
+                yield f"{path} is in a coding that cannot be decoded: record it as H.264 or AV1"
+                return
             if (pixels := stream.codec_context.width * stream.codec_context.height) > MOST_PIXELS:
                 yield f"{path} has frames of {pixels / 1e6:.0f} million pixels, more than {MOST_PIXELS / 1e6:.0f}: record smaller ones"
                 return

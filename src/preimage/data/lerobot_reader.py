@@ -7,7 +7,7 @@
             data/*/episode_*.parquet                       one episode a file
             videos/*/CAMERA/episode_*.mp4                  one episode a file
 
-Reading is patient: a part that is missing is told in a sentence (`Episode.faults`) and the rest is read, for the doctor has to see it.
+Reading is patient: a part that is missing is reported in a sentence (`Episode.faults`) and the rest is read, for the doctor has to see it.
 Only what says where things lie must be whole.
 """
 

@@ -52,7 +52,7 @@ def numbers_of(folder: Path) -> list[int]:
 
 
 def read_episodes(folder: Path, eye: Eye, only: Collection[int] | None = None) -> Iterator[Episode]:
-    """The episodes one by one; what cannot be read of one is told in its faults.
+    """The episodes one by one; what cannot be read of one is reported in its faults.
 
     Args:
         only: numbers of the episodes to read; by default all.

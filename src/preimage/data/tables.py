@@ -1,8 +1,8 @@
 """The table of joints of an episode, `joints.csv`, as recorders and spreadsheets write it.
 
 Columns are separated by commas, semicolons or tabs; numbers have a point or a comma before their decimals; the text is UTF-8, with or
-without a byte-order mark, or UTF-16. Rows without any content are passed over. Clocks (`data.clocks`) are told from joints by their names,
-in whatever column they stand.
+without a byte-order mark, or UTF-16. Rows without any content are passed over. Clocks (`data.clocks`) are known by their names, in whatever
+column they stand.
 """
 
 import csv

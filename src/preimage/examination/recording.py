@@ -42,13 +42,9 @@ def unreadable(seen: Sequence[Seen]) -> Iterator[Finding]:
     if broken:
         count = sum(len(one.unreadable) for one in broken)
         what = f"{in_episodes(one.index for one in broken)} lack {number_of(count, 'part')}, the first: {broken[0].unreadable[0]}"
-        yield Finding(
-            Kind.UNREADABLE,
-            Severity.FAULT,
-            what,
-            f"mend them, or {leaving_out(one.index for one in broken)}",
-            tuple(one.index for one in broken),
-        )
+        episodes = tuple(one.index for one in broken)
+        help_ = "mend them" if len(broken) == len(seen) else f"mend them, or {leaving_out(episodes)}"
+        yield Finding(Kind.UNREADABLE, Severity.FAULT, what, help_, episodes)
 
 
 def lengths(seen: Sequence[Seen]) -> Iterator[Finding]:
@@ -64,11 +60,12 @@ def lengths(seen: Sequence[Seen]) -> Iterator[Finding]:
 
 
 def durations(seen: Sequence[Seen]) -> Iterator[Finding]:
-    empty = [one.index for one in seen if min(one.num_steps, one.num_frames) < LEAST_STEPS]
+    few = [one for one in seen if min(one.num_steps, one.num_frames) < LEAST_STEPS]
+    empty = [one.index for one in few if not one.unreadable]
     if empty:
         what = f"{in_episodes(empty)} hold fewer than {LEAST_STEPS} steps"
         yield Finding(Kind.DURATION, Severity.FAULT, what, leaving_out(empty), tuple(empty))
-    whole = [one for one in seen if one.index not in empty]
+    whole = [one for one in seen if one not in few]
     if not whole:
         return
     usual = float(np.median([one.num_steps for one in whole]))

@@ -10,8 +10,8 @@ from preimage.examination.findings import Finding, Kind, Severity, in_episodes
 from preimage.examination.seen import Seen
 from preimage.records import listed, number_of
 
-MOST_TASKS = 4
-"""Tasks that are named."""
+MOST_TASKS, MOST_ABSENT = 4, 1000
+"""Tasks, and missing episodes, that are named."""
 
 
 def clocks(seen: Sequence[Seen], *, chosen: bool) -> Iterator[Finding]:
@@ -60,7 +60,8 @@ def tasks(seen: Sequence[Seen]) -> Iterator[Finding]:
 def gaps(seen: Sequence[Seen]) -> Iterator[Finding]:
     """Numbers that the index passes over: episodes that somebody took out, or that were not copied."""
     there = {one.index for one in seen}
-    absent = sorted(set(range(max(there) + 1)) - there)
-    if absent:
+    if (count := max(there) + 1 - len(there)) > MOST_ABSENT:
+        yield Finding(Kind.GAPS, Severity.NOTE, f"the numbers of {count} episodes are passed over ({listed(there)} are there)")
+    elif absent := sorted(set(range(max(there) + 1)) - there):
         what = f"{in_episodes(absent)} {'is' if len(absent) == 1 else 'are'} not among them ({listed(there)})"
         yield Finding(Kind.GAPS, Severity.NOTE, what)

@@ -26,7 +26,7 @@ FOLLOWS = 0.2
 SURE = 4.0
 """Standard errors, over the episodes, by which it must correlate better late than on time."""
 LEAST_EPISODES = 4
-"""Episodes from which on such an error can be told."""
+"""Episodes from which on such an error can be estimated."""
 SETS_OUT = 0.05
 """Share of an episode's own way that a joint has gone when the rest at the start is over."""
 LEAST_WAY = 0.02

@@ -11,8 +11,9 @@ from torch import Tensor
 
 from lerobot_policy_preimage.configuration_preimage import PreimageConfig
 from preimage.compute.precision import resolve_precision
+from preimage.data.angles import unwrapped
 from preimage.data.sources import find_percept
-from preimage.data.view import look
+from preimage.data.view import look, unwraps
 from preimage.method.plan import PlanConfig, plan
 from preimage.records import Percept
 from preimage.robot.limits import commands_of, limits_seen
@@ -96,7 +97,8 @@ class PreimagePolicy(PreTrainedPolicy):
         if len(state) != len(self.body.joint_names):
             names = ", ".join(self.body.joint_names)
             raise ValueError(f"{OBS_STATE} has {len(state)} joints, the run's recordings have {len(self.body.joint_names)}: give {names}")
-        start = Percept(self.frame_of(batch, self.camera_in(batch), row), state[self.known])
+        joints = unwrapped(state[None, self.known], self.model.sensors.joint_names, unwraps(self.view))[0]
+        start = Percept(self.frame_of(batch, self.camera_in(batch), row), joints)
         precision = resolve_precision(self.config.precision, self.model.pixel_bias.device)
         config = PlanConfig(iterations=self.config.iterations, doubt=self.config.doubt, precision=precision)
         with torch.inference_mode(False), torch.enable_grad():  # LeRobot calls in inference mode, in which nothing can be regressed
