@@ -159,6 +159,7 @@ def report_(results: Path = Path("results"), out: Path = Path("docs/results.md")
         out: page to write.
         readme: file whose table stands between two marks; without marks it is left alone.
     """
+    validate_output_file(out, "page of results", marks=(b"`preimage report`",))
     print(f"wrote {write_results(results, out)}")
     fill_readme(results, readme)
 
