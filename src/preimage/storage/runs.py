@@ -346,7 +346,7 @@ def write_card(folder: Path) -> None:
     config, lines = read_config(folder), read_log(folder)
     train, provenance = part_of(config, "train"), part_of(config, "provenance")
     last = lines[-1]
-    demonstrations = number_of(config.get("num_demonstrations", config["num_sequences"]), "demonstration")
+    demonstrations = number_of(config.get("num_demonstrations", config.get("num_sequences")), "demonstration")
     minutes = sum(line["seconds"] for line in lines) / 60
     card = f"""---
 library_name: preimage
