@@ -19,7 +19,8 @@ from preimage.network.config import ModelConfig
 from preimage.storage.checkpoints import CHECKPOINT, append_to_log
 from preimage.storage.checksums import is_damaged_safetensors, is_damaged_zip
 from preimage.storage.locks import LOCK, locked
-from preimage.storage.runs import WEIGHTS, load_model, read_log, read_shown
+from preimage.storage.runs import load_model, read_log, read_shown
+from preimage.storage.validation import WEIGHTS
 from test_output_folders import tree
 from test_training import demonstrations, weights
 

@@ -151,7 +151,14 @@ def test_an_evaluation_does_not_replace_what_is_not_one(refused, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "edit", [{"positions_m": {}}, {"positions_m": {"goal": [1e200, 0, 0]}}, {"start_joints": [0.0]}, {"start_joints": [9, 9, 9, 9]}]
+    "edit",
+    [
+        {"positions_m": {}},
+        {"positions_m": {"goal": [0.4, 0.1]}},
+        {"positions_m": {"goal": [1e200, 0, 0]}},
+        {"start_joints": [0.0]},
+        {"start_joints": [9, 9, 9, 9]},
+    ],
 )
 def test_a_plan_whose_scene_cannot_be_laid_out(refused, capsys, data, run_folder, tmp_path, edit):
     cli.main(["plan", str(run_folder), "--goal", f"{data}:0", "--out", str(tmp_path / "plan"), *QUICK])

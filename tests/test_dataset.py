@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from preimage.data.dataset import fingerprint, load, open_recordings, read_episodes, save
 from preimage.data.view import View
 from preimage.records import Demonstration
-from preimage.storage.runs import tuples
+from preimage.storage.reading import record_of
 from recordings import (
     CAMERA,
     DATA,
@@ -135,7 +135,7 @@ def test_joints_come_in_the_order_they_are_asked_for(foreign):
 def test_what_was_resolved_shows_the_same_again(foreign):
     """A view with nothing left open is a fixed point, and survives JSON."""
     opened = open_recordings(foreign)
-    kept = tuples(View, json.loads(json.dumps(asdict(opened.view))))
+    kept = record_of(View, json.loads(json.dumps(asdict(opened.view))))
     again = open_recordings(foreign, view=kept)
     assert kept == opened.view == again.view
     assert_equal(again.demonstrations, opened.demonstrations)

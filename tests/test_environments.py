@@ -106,3 +106,39 @@ def test_what_is_seen_can_be_recorded_and_trained_on(environment):
     (demonstration,) = record(Arm(), TASKS[name], count=1, seed=0)
     assert seen["frame"].shape == seen["goal"].shape == demonstration.frames.shape[1:]
     assert seen["joints"].shape == demonstration.joints.shape[1:]
+
+
+def test_spaces_are_of_single_precision_and_hold_what_is_seen(environment):
+    seen, info = environment.reset(seed=2)
+    assert environment.observation_space.contains(seen)
+    assert {seen[name].dtype for name in ("joints", "observation", "achieved_goal", "desired_goal")} == {np.dtype(np.float32)}
+    assert environment.action_space.dtype == np.float32
+    assert info["is_success"] is False
+
+
+def test_the_reward_can_be_computed_again_for_any_goal(environment):
+    """Hindsight experience replay: of the same goal as it was given, of the goal that was achieved a success where the rest is done."""
+    environment.reset(seed=3)
+    shown = shown_in(environment)
+    rows = []
+    for joints in [*shown.joints[1:], *[shown.joints[-1]] * 10]:
+        seen, reward, terminated, _, info = environment.step(joints)
+        rows.append((seen["achieved_goal"], seen["desired_goal"], reward, info))
+        assert info["is_success"] == terminated
+        if terminated:
+            break
+    achieved, desired, rewards, infos = (list(each) for each in zip(*rows, strict=True))
+    compute_reward = environment.unwrapped.compute_reward
+    assert compute_reward(np.stack(achieved), np.stack(desired), infos).tolist() == rewards
+    hindsight = [compute_reward(one, one, info) for one, info in zip(achieved, infos, strict=True)]
+    assert hindsight == [float(info["conditions_met"]) for info in infos]
+    assert hindsight[-1] == 1
+    assert hindsight[0] == 0  # it moves
+
+
+def test_what_is_rendered_is_the_frame_in_three_equal_channels():
+    environment = gymnasium.make("preimage/Reach-v0", render_mode="rgb_array")
+    with pytest.raises(ValueError, match="call reset before render"):
+        environment.unwrapped.render()
+    seen, _ = environment.reset(seed=0)
+    np.testing.assert_array_equal(environment.render(), np.repeat(seen["frame"], 3, axis=-1))

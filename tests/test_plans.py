@@ -5,12 +5,15 @@ import dataclasses
 import json
 import os
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from preimage.cli.acting import sentences_of
 from preimage.data.dataset import load
 from preimage.records import Percept, Plan, Scene, Stopped
+from preimage.report import figure, figures
 from preimage.storage.plans import load_plan, save_episode, save_plan
 
 SCENE = Scene("reach", (0.1, -0.2), {"goal": (0.5, 0.25, 0.03)})
@@ -143,6 +146,12 @@ def long_header(path) -> None:
         member.write(bytes(80))
 
 
+def open_header(path) -> None:
+    """An npz whose array has a header with a bracket too many."""
+    with zipfile.ZipFile(path, "w") as file, file.open("frames.npy", "w") as member:
+        member.write(b"\x93NUMPY\x01\x00\x10\x00{'shape': (((,  \n")
+
+
 DAMAGES = {
     "no arrays": lambda folder: (folder / "plan.npz").unlink(),
     "arrays cut short": lambda folder: (folder / "plan.npz").write_bytes((folder / "plan.npz").read_bytes()[:-200]),
@@ -198,6 +207,7 @@ DAMAGES = {
     "joints complex": lambda folder: arrays(folder, joints=np.zeros((5, 2), complex)),
     "arrays that unpack to more than there is room for": lambda folder: bomb(folder / "plan.npz", 528 << 20),
     "an array that says it is longer": lambda folder: long_header(folder / "plan.npz"),
+    "a header that does not end": lambda folder: open_header(folder / "plan.npz"),
     "fewer joints than frames": lambda folder: arrays(folder, joints=np.zeros((4, 2))),
 }
 
@@ -215,3 +225,41 @@ def test_damage_is_told_in_one_sentence(tmp_path, damage):
 def test_a_folder_without_a_plan_is_told(tmp_path):
     with pytest.raises(ValueError, match=r"holds no plan .* give a folder that `preimage plan` wrote"):
         load_plan(tmp_path)
+
+
+# What is said of a plan
+
+
+@pytest.mark.parametrize(
+    ("share", "sentence"),
+    [
+        (None, "arrives at step 3 (0.6 s), error 1.250, planned in 0.5 s, in plan"),
+        (0.012, "reached: arrives at step 3 (0.6 s), error 1.250, 1.2 % of that of staying at the start, planned in 0.5 s, in plan"),
+        (0.1, "near: arrives at step 3 (0.6 s), not quite at the goal, error 1.250, 10.0 % of that of staying at the start"),
+        (0.96, "in doubt: does not arrive, and is nearest at step 3 (0.6 s), error 1.250, 96.0 % of that of staying at the start"),
+    ],
+)
+def test_a_plan_that_goes_nowhere_does_not_arrive(tmp_path, share, sentence):
+    plan = dataclasses.replace(make_plan(), unexplained=share)
+    assert sentences_of([plan], plan, Path("plan"))[0].startswith(sentence)
+    save_plan(plan, tmp_path)
+    loaded, _ = load_plan(tmp_path)
+    assert (loaded.unexplained, loaded.verdict) == (share, plan.verdict)
+
+
+def test_a_plan_from_before_its_share_was_kept_is_loaded(tmp_path):
+    save_plan(make_plan(), tmp_path)
+    without(tmp_path, "unexplained")
+    assert load_plan(tmp_path)[0].verdict is None
+
+
+def test_the_figure_shows_what_is_commanded_beside_what_is_imagined(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(figures, "save", lambda drawing, path: drawn.append(drawing) or path)
+    plan = make_plan()
+    figure(plan, None, tmp_path / "plan.png", commands=plan.joints[:4] + 1, commands_hz=10.0)
+    (axes,) = [axes for axes in drawn[0].axes if axes.get_legend()]
+    assert [text.get_text() for text in axes.get_legend().get_texts()][:2] == ["imagined", "commanded"]
+    dashed = [line for line in axes.get_lines() if line.get_linestyle() == "--"]
+    np.testing.assert_allclose([line.get_ydata() for line in dashed], (plan.joints[:4] + 1).T)
+    assert dashed[0].get_xdata()[-1] == pytest.approx(0.3)

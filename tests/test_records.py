@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from preimage.records import Demonstration, Percept, Stopped
+from preimage.records import Demonstration, Percept, Stopped, verdict_of
 
 
 def make(num_frames=4, num_angles=4, names=("yaw", "elbow"), num_joints=2):
@@ -59,3 +59,13 @@ def test_a_goal_may_leave_a_modality_out():
 @pytest.mark.parametrize("stopped", Stopped)
 def test_every_reason_to_stop_says_what_to_try(stopped):
     assert ";" in stopped.value
+
+
+WORDS = {0.0: "reached", 0.049: "reached", 0.05: "near", 0.24: "near", 0.25: "in doubt", 3.0: "in doubt", np.nan: "in doubt"}
+
+
+@pytest.mark.parametrize(("share", "verdict"), WORDS.items())
+def test_a_share_of_staying_at_the_start_has_its_word(share, verdict):
+    found = verdict_of(share)
+    assert found is not None
+    assert found.value == verdict

@@ -217,6 +217,9 @@ def sized(size: str, preset: Preset, **asked: Any) -> ModelConfig:
 
 def episodes_to_resume(out: Path, data: Path) -> tuple[int, ...] | None:
     """The episodes that the run in `out` was given; ValueError where the data have others."""
+    from preimage.data.dataset import episode_numbers
+    from preimage.storage.runs import episodes_of
+
     given = episodes_of(out)
     if given and not set(given) <= set(episode_numbers(data)):
         raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")

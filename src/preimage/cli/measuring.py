@@ -183,6 +183,7 @@ def report_(results: Path = Path("results"), out: Path = Path("docs/results.md")
     """
     from preimage.report import fill_readme, write_results
 
+    validate_output_file(out, "page of results", marks=(b"`preimage report`",))
     print(f"wrote {write_results(results, out)}")
     fill_readme(results, readme)
 

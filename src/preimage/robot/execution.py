@@ -102,10 +102,10 @@ def task_of(scene: Scene) -> Task:
 def validate_scene(scene: Scene, task: Task, arm: Arm) -> None:
     """Raises ValueError where a scene cannot be laid out: a place or a joint is missing, or far from where the arm is."""
     known = TASKS.get(task.name)
-    for name in positions_of(task.name) if known else ():
+    for name, num_numbers in positions_of(task.name).items() if known else ():
         position = scene.positions_m.get(name)
-        if position is None or not 2 <= len(position) <= 3:
-            raise ValueError(f"the scene of {task.name} has no place for the {name}: record it, or plan, again")
+        if position is None or len(position) != num_numbers:
+            raise ValueError(f"the scene of {task.name} has no position for the {name}: record it, or plan, again")
         if not all(abs(each) <= FARTHEST_M for each in position):
             raise ValueError(f"the scene of {task.name} has the {name} at {position} m, out of reach: record it, or plan, again")
     if len(scene.start_joints) != len(arm.joint_names):
@@ -116,9 +116,9 @@ def validate_scene(scene: Scene, task: Task, arm: Arm) -> None:
 
 
 @functools.cache
-def positions_of(task: str) -> tuple[str, ...]:
-    """Names of the places that a scene of a task has."""
-    return tuple(TASKS[task].sample(np.random.default_rng(0)).positions_m)
+def positions_of(task: str) -> dict[str, int]:
+    """Names of the places that a scene of a task has, and of how many numbers each is."""
+    return {name: len(position) for name, position in TASKS[task].sample(np.random.default_rng(0)).positions_m.items()}
 
 
 def limits_of(arm: Arm) -> Limits:

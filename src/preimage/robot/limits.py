@@ -33,7 +33,7 @@ class Limits:
 
     joint_names: tuple[str, ...]
     units: tuple[str, ...]
-    """rad or m, or what the data told of theirs"""
+    """rad or m, or what the data say of theirs."""
     lower: Float[np.ndarray, " J"]
     """In units."""
     upper: Float[np.ndarray, " J"]

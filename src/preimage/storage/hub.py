@@ -118,7 +118,7 @@ def upload(folder: Path, repository: str, *, license: str | None, private: bool)
 
 def card_there(card: str, name: str, license: str | None) -> str:
     """The model card as it reads on the Hub: with its licence, and with the name by which everybody can plan with the run."""
-    told = ModelCard(card.replace("preimage plan RUN", f"preimage plan {name}"))
+    public = ModelCard(card.replace("preimage plan RUN", f"preimage plan {name}"))
     if license:
-        told.data["license"] = license
-    return str(told)
+        public.data["license"] = license
+    return str(public)

@@ -12,7 +12,6 @@ What is read is checked once, here: names, shapes, ranges, and that every number
 """
 
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import resources
@@ -33,10 +32,10 @@ from preimage.storage.atomic_write import atomic_write, write_json
 from preimage.storage.bundled import BUNDLED
 from preimage.storage.checksums import is_damaged_safetensors, safetensors_with_checksum
 from preimage.storage.reading import read_arrays, read_json, record_of
+from preimage.storage.validation import WEIGHTS, tensors_unlike, validate_sensors, validate_size
 
 Record = TypeVar("Record")
 
-WEIGHTS = "model.safetensors"
 NETWORK_KEYS = ("model", "sensors", "num_sequences")
 """What of config.json builds the network."""
 
@@ -222,19 +221,6 @@ def read_settings(record: type[Record], folder: Path, key: str) -> Record:
         raise ValueError(f"{folder}/config.json has no {key} settings that are known here ({error}): train again") from error
 
 
-def validate_sensors(sensors: Sensors) -> None:
-    """Raises ValueError where sensors have no frame or no joints, a joint has no range, or two have one name."""
-    if min(sensors.height, sensors.width) < 1 or not 1 <= sensors.channels <= 4:
-        raise ValueError(f"frames of {sensors.height}x{sensors.width}x{sensors.channels}")
-    if not len(sensors.joint_names) == len(sensors.joint_lower) == len(sensors.joint_upper) > 0:
-        raise ValueError("joint_names, joint_lower and joint_upper are not equally many")
-    if len(set(sensors.joint_names)) < len(sensors.joint_names):
-        raise ValueError("joint_names names one twice")
-    for name, low, high in zip(sensors.joint_names, sensors.joint_lower, sensors.joint_upper, strict=True):
-        if not low < high:
-            raise ValueError(f"{name} goes from {low:g} to {high:g}")
-
-
 def read_view(name: str | Path) -> View:
     """How the run looked at the recordings that it learned from, and so how its starts and goals are to be looked at.
 
@@ -311,30 +297,6 @@ def load_model(name: str | Path) -> PDVMRNN:
     return model.requires_grad_(False).eval()
 
 
-def validate_size(config: ModelConfig, sensors: Sensors, num_sequences: int, *, num_bytes: int) -> None:
-    """Raises ValueError where a network is larger than the file of its weights could hold, before there is room made for it."""
-    sizes = *config.vision_channels, *config.motor_units, config.top_channels, config.units_per_joint, num_sequences
-    if min(sizes) < 1 or not LOWEST_RATE_HZ <= config.rate_hz <= HIGHEST_RATE_HZ:
-        raise ValueError("its network has a size below 1, or a rate out of range")
-    recurrent = 4 * sum(size**2 for size in (*config.vision_channels, *config.motor_units))  # four gates from a layer to itself
-    frame, table = math.prod((sensors.height, sensors.width, sensors.channels)), num_sequences * (config.intention_dimensions or 1)
-    if 2 * max(recurrent, frame, table, sensors.num_joints * config.units_per_joint) > num_bytes:
-        raise ValueError(f"its network is larger than {WEIGHTS}")
-
-
-def tensors_unlike(model: PDVMRNN, tensors: Mapping[str, torch.Tensor]) -> str | None:
-    """The first reason why tensors are not the weights of a model; None where they are."""
-    wanted = model.state_dict()
-    for name in [*wanted, *tensors]:
-        if name not in tensors or name not in wanted:
-            return f"{WEIGHTS} has {'no' if name in wanted else 'an unknown'} {name}"
-        if tensors[name].shape != wanted[name].shape:
-            return f"{name} is {tuple(tensors[name].shape)}, the network's {tuple(wanted[name].shape)}"
-        if not bool(tensors[name].isfinite().all()):
-            return f"{name} holds numbers that are not finite"
-    return None
-
-
 def from_pretrained(name_or_folder: str | Path, *, revision: str | None = None) -> PDVMRNN:
     """The trained model of a run, as `load_model` gives it, under the name that other libraries have for this.
 
@@ -380,7 +342,7 @@ def write_card(folder: Path) -> None:
     config, lines = read_config(folder), read_log(folder)
     train, provenance = part_of(config, "train"), part_of(config, "provenance")
     last = lines[-1]
-    demonstrations = number_of(config.get("num_demonstrations", config["num_sequences"]), "demonstration")
+    demonstrations = number_of(config.get("num_demonstrations", config.get("num_sequences", 0)), "demonstration")
     minutes = sum(line["seconds"] for line in lines) / 60
     card = f"""---
 library_name: preimage
