@@ -1,6 +1,7 @@
 """For all tests: shapes are checked at every call, and the recordings, the data set and the run that several of them share."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -38,7 +39,10 @@ with install_import_hook(ROOMS, "conftest.checked"):
     for room in ROOMS:  # at once: what is loaded later than this goes unchecked
         import_module(room)
     import preimage
+    from bars import bars, learned
     from preimage.cli import main
+    from preimage.network.config import ModelConfig
+    from preimage.presets import remember
     from preimage.records import Demonstration, Scene
     from preimage.robot import TASKS, Arm, Reach, record
     from recordings import noises
@@ -111,6 +115,24 @@ def run_folder(data, tmp_path_factory):
 @pytest.fixture(scope="session")
 def model(run_folder):
     return preimage.load_model(run_folder)
+
+
+@pytest.fixture(scope="session")
+def trained():
+    """A network with a latent intention that learned six bars a little."""
+    return learned(replace(ModelConfig.tiny(), intention_cost=1e-3))
+
+
+@pytest.fixture(scope="session")
+def trained_as_paper():
+    """The same with the paper's intention."""
+    return learned(ModelConfig.tiny().as_paper())
+
+
+@pytest.fixture(scope="session")
+def memory(trained):
+    """Of the six bars."""
+    return remember(bars(), trained)
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from test_training import CONFIG, demonstrations
 
 from changes import apart, learning_nothing
 from preimage.compute.devices import CPU, place_of
@@ -12,7 +13,6 @@ from preimage.method.plan import imagine_library
 from preimage.method.train import train
 from preimage.network.config import ModelConfig
 from preimage.network.pdvmrnn import PDVMRNN
-from test_training import CONFIG, demonstrations
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
 
