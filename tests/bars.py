@@ -40,8 +40,8 @@ def bars() -> list[Demonstration]:
 
 def learned(network: ModelConfig) -> PDVMRNN:
     """A network that learned the six bars a little."""
-    config = TrainConfig(updates=120, batch_size=6, learning_rate=1e-2, rest_steps=3, precision="float32")
-    return train(bars(), network, config=config)
+    rates = {"learning_rate": 4e-2, "intention_learning_rate": 4e-2, "warmup_updates": 5}
+    return train(bars(), network, config=TrainConfig(updates=70, batch_size=6, rest_steps=3, precision="float32", **rates))
 
 
 def tiny_double(network: ModelConfig | None = None) -> PDVMRNN:
@@ -51,8 +51,9 @@ def tiny_double(network: ModelConfig | None = None) -> PDVMRNN:
 
 
 def problem_to(model: PDVMRNN, shown: Demonstration, *, start: Percept | None = None, **changes: Any) -> Problem:
-    """From the first percept of a demonstration to its last."""
-    return problem_of(model, start or shown.first, shown.last, replace(EXACT, **changes))
+    """From the first percept of a demonstration to its last, in the precision of the weights."""
+    config = replace(EXACT, precision=str(model.pixel_bias.dtype).removeprefix("torch."), **changes)
+    return problem_of(model, start or shown.first, shown.last, config)
 
 
 def objective_of(problem: Problem, *, held: bool = False) -> ToGoal:

@@ -1,6 +1,7 @@
 """For all tests: shapes are checked at every call, and the recordings, the data set and the run that several of them share."""
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -120,13 +121,15 @@ def model(run_folder):
 @pytest.fixture(scope="session")
 def trained():
     """A network with a latent intention that learned six bars a little."""
-    return learned(replace(ModelConfig.tiny(), intention_cost=1e-3))
+    with without_checks():  # they take several times as long as the learning
+        return learned(replace(ModelConfig.tiny(), intention_cost=1e-3))
 
 
 @pytest.fixture(scope="session")
 def trained_as_paper():
     """The same with the paper's intention."""
-    return learned(ModelConfig.tiny().as_paper())
+    with without_checks():
+        return learned(ModelConfig.tiny().as_paper())
 
 
 @pytest.fixture(scope="session")
@@ -157,12 +160,18 @@ def refused(capsys):
     return run
 
 
-@pytest.fixture
-def unchecked() -> Iterator[None]:
-    """Shapes are not checked, as it is outside of the tests: for what a user gets to read where shapes are wrong."""
+@contextmanager
+def without_checks() -> Iterator[None]:
     config.update("jaxtyping_disable", True)
     yield
     config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """Shapes are not checked, as it is outside of the tests: for what a user gets to read where shapes are wrong."""
+    with without_checks():
+        yield
 
 
 @pytest.fixture(scope="session")
