@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from test_training import CONFIG, demonstrations
 
 from changes import apart, learning_nothing
 from preimage.compute.devices import CPU, place_of
@@ -13,6 +12,7 @@ from preimage.method.plan import imagine_library
 from preimage.method.train import train
 from preimage.network.config import ModelConfig
 from preimage.network.pdvmrnn import PDVMRNN
+from test_train import CONFIG, demonstrations
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
 

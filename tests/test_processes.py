@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 import torch
-from test_training import CONFIG, demonstrations, weights
 
 from preimage.compute.processes import Crew, ProcessLost, gather
 from preimage.data.sequences import sensors_of
@@ -21,6 +20,7 @@ from preimage.network.config import ModelConfig
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Shown
 from preimage.robot import TASKS, Arm, record
+from test_train import CONFIG, demonstrations, weights
 
 CASES = {"latent": ModelConfig.tiny(), "free": replace(ModelConfig.tiny(), intention_dimensions=None, intention_noise=0.1)}
 
