@@ -83,9 +83,8 @@ def test_guesses_lie_about_the_mean_as_far_as_the_deviation_says(trained_as_pape
 
 
 def test_the_same_seed_gives_the_same_plan_and_another_seed_begins_elsewhere(trained_as_paper: PDVMRNN) -> None:
-    one, same_seed, other = (
-        plan(trained_as_paper, goal=bar(0.6).last, config=replace(EXACT, candidates=2, iterations=2, seed=seed)) for seed in (1, 1, 2)
-    )
+    few = replace(EXACT, candidates=2, iterations=2)
+    one, same_seed, other = (plan(trained_as_paper, goal=bar(0.6).last, config=replace(few, search_seed=seed)) for seed in (1, 1, 2))
     assert same(one, same_seed)
     assert one.errors[0] != other.errors[0]
 

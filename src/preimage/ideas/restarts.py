@@ -25,6 +25,6 @@ class Restarts:
         found = self.search(problem, objective, guesses)
         if found.error.min() < self.threshold * objective.to_explain:
             return found
-        others = self.guess(problem, objective, torch.Generator().manual_seed(problem.config.seed))
+        others = self.guess(problem, objective, torch.Generator().manual_seed(problem.config.search_seed))
         again = self.search(problem, objective, others)
         return min(found, again, key=lambda one: float(one.error.min()))

@@ -83,11 +83,11 @@ class PlanConfig:
     """Factor a step on the goal error when the arrival step is chosen (section II-D)."""
     precision: Precision = "auto"
     """Precision of the layers' arithmetic while searching."""
-    seed: int = 0
+    search_seed: int = 0
     """Draws the initial guesses."""
 
     def __post_init__(self) -> None:
-        at_least = {"candidates": 1, "horizon": 1, "dimensions": 1, "iterations": 0, "intention_cost": 0, "seed": 0}
+        at_least = {"candidates": 1, "horizon": 1, "dimensions": 1, "iterations": 0, "intention_cost": 0, "search_seed": 0}
         validate(self, at_least=at_least | {"initial_deviation": 0}, above_zero=("learning_rate", "delay_penalty"))
         if self.modalities not in ("vision", "joints", "both"):
             raise ValueError(f"modalities is {self.modalities}: give vision, joints or both")

@@ -71,7 +71,7 @@ def plan(
 
 def regress(problem: Problem, objective: Objective, ideas: Ideas) -> Regression:
     """Search from the initial guesses."""
-    guesses = (ideas.initial_guess or random_guesses)(problem, objective, torch.Generator().manual_seed(problem.config.seed))
+    guesses = (ideas.initial_guess or random_guesses)(problem, objective, torch.Generator().manual_seed(problem.config.search_seed))
     return (ideas.search or adam)(problem, objective, guesses)
 
 
