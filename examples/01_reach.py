@@ -5,6 +5,7 @@
 The planner gets what the camera and the joints tell at the start, and one picture of the goal. Where the goal lies it is not told.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import tyro
@@ -21,12 +22,12 @@ def main(out: Path = Path("demo"), goal: int = 7, quick: bool = False) -> None:
         quick: search hardly at all, to see that everything runs.
     """
     arm = pi.Arm()
-    model = pi.from_pretrained("reach")
+    options = pi.PlanOptions.full()
+    planner = pi.load_planner("reach", replace(options, iterations=1, restarts=0) if quick else options)
     (tutor,) = pi.record(arm, pi.Reach(), count=1, seed=goal)  # somebody has to make the picture of the goal
     assert tutor.scene is not None
 
-    config = pi.PlanConfig(iterations=1) if quick else pi.PlanConfig()
-    plan = pi.plan(model, start=tutor.first, goal=pi.Percept(frame=tutor.last.frame), config=config)
+    plan = planner.plan(start=tutor.first, goal=pi.Percept(frame=tutor.last.frame))
     print(f"imagined {len(plan)} steps in {plan.seconds:.1f} s; step {plan.arrival_step} shows the goal best, error {plan.error:.2f}")
 
     trial = pi.execute(plan, arm, tutor.scene)  # blind: the arm follows what was imagined

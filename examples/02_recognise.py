@@ -5,6 +5,7 @@
 Recognition moves the intention until the imagined sequence resembles the sensed one at every step; the weights stay as they are.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +25,11 @@ def main(out: Path = Path("demo"), seed: int = 11, quick: bool = False) -> None:
         seed: draws the sequence.
         quick: search hardly at all, to see that everything runs.
     """
-    model = pi.from_pretrained("reach")
+    options = pi.PlanOptions.regression()  # of a whole sequence there is nothing that a memory could add
+    planner = pi.load_planner("reach", replace(options, iterations=1) if quick else options)
+    model = planner.model
     (sequence,) = pi.record(pi.Arm(), pi.Reach(), count=1, seed=seed)
-    found = pi.recognise(model, sequence, config=pi.PlanConfig(iterations=1) if quick else pi.PlanConfig())
+    found = planner.recognise(sequence)
 
     recorded = at_rate(sequence, model.config.rate_hz)
     frames = to_frames(found.generated.pixels[0]).cpu().numpy()

@@ -6,6 +6,8 @@ The network learned vision and joints together, so a picture of the goal calls f
 picture. The last column tells how far the half that was not given is from the true one.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import tyro
 
@@ -20,18 +22,19 @@ def main(seed: int = 3, goals: int = 3, quick: bool = False) -> None:
         goals: how many.
         quick: one goal, hardly any search, to see that everything runs.
     """
-    arm, model = pi.Arm(), pi.from_pretrained("reach")
+    arm, model, memory = pi.Arm(), pi.from_pretrained("reach"), pi.load_memory("reach")
+    options = replace(pi.PlanOptions.full(), iterations=1, restarts=0) if quick else pi.PlanOptions.full()
     tutored = pi.record(arm, pi.Reach(), count=1 if quick else goals, seed=seed)
     print("given    goal   from the goal   joints off   picture off")
     for modalities in ("vision", "joints", "both"):
-        config = pi.PlanConfig(modalities=modalities, iterations=1 if quick else None)
+        planner = pi.Planner(model, memory, replace(options, modalities=modalities))
         for number, tutor in enumerate(tutored):
             assert tutor.scene is not None
             goal = pi.Percept(
                 frame=None if modalities == "joints" else tutor.last.frame,
                 joints=None if modalities == "vision" else tutor.last.joints,
             )
-            plan = pi.plan(model, start=tutor.first, goal=goal, config=config)
+            plan = planner.plan(start=tutor.first, goal=goal)
             trial = pi.execute(plan, arm, tutor.scene)
             joints_off = np.degrees(np.abs(plan.joints[plan.arrival_step] - tutor.last.joints)).mean()
             greys_off = np.abs(plan.frames[plan.arrival_step].astype(float) - tutor.last.frame).mean()

@@ -6,6 +6,7 @@ Nobody told the network where a goal lies: it saw sequences, and gave alike ones
 never shown, recognised from the whole of them.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +28,13 @@ def main(out: Path = Path("demo"), novel: int = 8, seed: int = 21, quick: bool =
         seed: draws them.
         quick: one of them, hardly any search, to see that everything runs.
     """
-    model = pi.from_pretrained("reach")
-    training = model.intention_table.intentions().flatten().numpy()
+    options = pi.PlanOptions.regression()  # of a whole sequence there is nothing that a memory could add
+    planner = pi.load_planner("reach", replace(options, iterations=1) if quick else options)
+    training = planner.model.intention_table.intentions().flatten().numpy()
     ends = {"training": np.stack([shown.joints[-1] for shown in pi.read_shown(find_run("reach"))])}
 
     sequences = pi.record(pi.Arm(), pi.Reach(), count=1 if quick else novel, seed=seed)
-    config = pi.PlanConfig(iterations=1 if quick else None)
-    recognised = np.concatenate([pi.recognise(model, one, config=config).intention.flatten().numpy() for one in sequences])
+    recognised = np.concatenate([planner.recognise(one).intention.flatten().numpy() for one in sequences])
     ends["novel"] = np.stack([one.joints[-1] for one in sequences])
 
     goals_m = {name: forward_kinematics(joints)[:, :2].tolist() for name, joints in ends.items()}

@@ -1,6 +1,8 @@
 """For all tests: shapes are checked at every call, and the recordings, the data set and the run that several of them share."""
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -38,7 +40,10 @@ with install_import_hook(ROOMS, "conftest.checked"):
     for room in ROOMS:  # at once: what is loaded later than this goes unchecked
         import_module(room)
     import preimage
+    from bars import bars, learned
     from preimage.cli import main
+    from preimage.network.config import ModelConfig
+    from preimage.presets import remember
     from preimage.records import Demonstration, Scene
     from preimage.robot import TASKS, Arm, Reach, record
     from recordings import noises
@@ -114,6 +119,26 @@ def model(run_folder):
 
 
 @pytest.fixture(scope="session")
+def trained():
+    """A network with a latent intention that learned six bars a little."""
+    with without_checks():  # they take several times as long as the learning
+        return learned(replace(ModelConfig.tiny(), intention_cost=1e-3))
+
+
+@pytest.fixture(scope="session")
+def trained_as_paper():
+    """The same with the paper's intention."""
+    with without_checks():
+        return learned(ModelConfig.tiny().as_paper())
+
+
+@pytest.fixture(scope="session")
+def memory(trained):
+    """Of the six bars."""
+    return remember(bars(), trained)
+
+
+@pytest.fixture(scope="session")
 def scene(demonstrations) -> Scene:
     return demonstrations[0].scene
 
@@ -135,12 +160,18 @@ def refused(capsys):
     return run
 
 
-@pytest.fixture
-def unchecked() -> Iterator[None]:
-    """Shapes are not checked, as it is outside of the tests: for what a user gets to read where shapes are wrong."""
+@contextmanager
+def without_checks() -> Iterator[None]:
     config.update("jaxtyping_disable", True)
     yield
     config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """Shapes are not checked, as it is outside of the tests: for what a user gets to read where shapes are wrong."""
+    with without_checks():
+        yield
 
 
 @pytest.fixture(scope="session")

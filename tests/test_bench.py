@@ -7,10 +7,10 @@ from preimage.compute.devices import CPU
 from preimage.compute.precision import Resolved
 from preimage.evaluation import bench
 from preimage.evaluation.bench import PEER, PEER_CONFIG, Work, flops_of_step, limit_gflops, timed_training
-from preimage.method.train import TrainConfig
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.linear import Conv, Linear
 from preimage.network.pdvmrnn import PDVMRNN
+from preimage.presets import TrainOptions
 from preimage.report.results import speed_table
 
 SENSORS = Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0))
@@ -80,10 +80,10 @@ def test_a_start_is_timed_in_a_python_of_its_own() -> None:
 
 
 def test_a_whole_training_says_what_it_was_extrapolated_from(monkeypatch, demonstrations) -> None:
-    monkeypatch.setattr(bench, "read_settings", lambda kind, *_: TrainConfig() if kind is TrainConfig else ModelConfig.tiny())
+    monkeypatch.setattr(bench, "read_settings", lambda kind, *_: TrainOptions() if kind is TrainOptions else ModelConfig.tiny())
     said: list[str] = []
     timed = bench.whole_training(demonstrations, CPU, "float32", said.append)
-    assert timed["updates"] == TrainConfig().updates
+    assert timed["updates"] == TrainOptions().updates
     by_hand = timed["updates"] * timed["s_per_update"] / 60
     assert timed["minutes_extrapolated"] == pytest.approx(by_hand, abs=0.1)  # both are rounded
     assert f"extrapolated from {timed['measured_updates']} of its {timed['updates']} updates" in said[0]

@@ -156,8 +156,8 @@ def test_evaluate_writes_counts_and_baselines(capsys, run_folder, tmp_path):
     assert set(wanted.split()) <= set(result)
     assert (result["goals"], result["seed"], len(result["rows"])) == (2, 9, 2)
     printed = capsys.readouterr().out.splitlines()
-    assert result["baselines"]["recalled_joints"]["deviation_cm"] != result["baselines"]["do_nothing"]["deviation_cm"]
-    baselines = ["do_nothing", "nearest_demonstration", "recalled_joints", "prior_mean"]
+    assert result["baselines"]["memory_alone"]["deviation_cm"] != result["baselines"]["do_nothing"]["deviation_cm"]
+    baselines = ["do_nothing", "nearest_demonstration", "memory_alone", "prior_mean"]
     assert [line.split()[0] for line in printed] == ["preimage", *baselines]
 
 

@@ -12,7 +12,7 @@ from preimage.method.plan import imagine_library
 from preimage.method.train import train
 from preimage.network.config import ModelConfig
 from preimage.network.pdvmrnn import PDVMRNN
-from test_training import CONFIG, demonstrations
+from test_train import CONFIG, demonstrations
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
 

@@ -8,9 +8,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from preimage.evaluation.evaluate import Evaluated, count, goal_of, nearest_shown, result_of, straight_through, wilson_interval
-from preimage.method.plan import PlanConfig
+from preimage.data.sequences import at_rate
+from preimage.evaluation.evaluate import (
+    Evaluated,
+    carry_out,
+    count,
+    evaluate,
+    goal_of,
+    nearest_shown,
+    result_of,
+    straight_through,
+    wilson_interval,
+)
+from preimage.presets import Planner, PlanOptions, remember
 from preimage.records import Plan, Shown, Stopped, Trial
+from preimage.robot import TASKS, Arm
+from preimage.robot.execution import play
 
 
 @pytest.mark.parametrize(
@@ -96,7 +109,7 @@ def test_rows_tell_each_goal(evaluated):
 
 @pytest.mark.parametrize(("modality", "frame", "joints"), [("vision", True, False), ("joints", False, True), ("both", True, True)])
 def test_the_planner_is_shown_no_more_of_a_goal_than_it_may_use(demonstrations, modality, frame, joints):
-    goal = goal_of(demonstrations[0], PlanConfig(modalities=modality))
+    goal = goal_of(demonstrations[0], modality)
     assert (goal.frame is not None, goal.joints is not None) == (frame, joints)
 
 
@@ -118,12 +131,60 @@ def test_grasps_are_counted_strictly_and_within_pixels(demonstrations):
     assert (counted["grasped"]["success"], counted["placed_once_grasped"]["success"]) == (1, 1)
 
 
-def test_memory_alone_goes_straight_and_switches_where_it_has_arrived() -> None:
+def test_memory_alone_goes_straight_and_grips_where_it_has_arrived() -> None:
     points = np.array([[0.0, 1.0], [2.0, 0.0], [3.0, 0.0]])
-    way = straight_through(points, 8, switch=1)
+    way = straight_through(points, 8, gripper=1)
     assert way[[0, -1]].tolist() == points[[0, -1]].tolist()
-    switched = int(np.argmax(way[:, 1] < 1))
-    assert way[switched - 1].tolist() == [2.0, 1.0]  # there, and not yet switched
-    assert way[switched].tolist() == [2.0, 0.0]
-    assert np.diff(way[:switched, 0]) == pytest.approx(way[1, 0] - way[0, 0])
-    assert straight_through(points[:2], 5, switch=None)[1, 1] == pytest.approx(0.75)
+    gripped = int(np.argmax(way[:, 1] < 1))
+    assert way[gripped - 1].tolist() == [2.0, 1.0]  # there, and not yet gripped
+    assert way[gripped].tolist() == [2.0, 0.0]
+    assert np.diff(way[:gripped, 0]) == pytest.approx(way[1, 0] - way[0, 0])
+    assert straight_through(points[:2], 5, gripper=None)[1, 1] == pytest.approx(0.75)
+
+
+@pytest.fixture(scope="module")
+def planner(model) -> Planner:
+    """Of a network that knows nothing, planning as the paper does, hardly at all."""
+    return Planner(model, None, PlanOptions(iterations=0, candidates=1, horizon=4, precision="float32"))
+
+
+def shown_of(demonstrations) -> list[Shown]:
+    return [Shown(each.frames[-1], each.joints, each.rate_hz) for each in demonstrations]
+
+
+def test_every_loop_is_evaluated_beside_its_baselines(planner, demonstrations) -> None:
+    seen = shown_of(demonstrations)
+    for loop in ("closed", "open", "recorded"):
+        (one,) = evaluate(planner, Arm(), TASKS["reach"], goals=1, seed=3, shown=seen, loop=loop)
+        assert set(one.baselines) == {"do_nothing", "nearest_demonstration", "prior_mean"}, "without memory there is none to go straight"
+        assert one.plan.goal.joints is None
+        assert np.isfinite(one.trial.deviation_m)
+
+
+def test_the_recorded_loop_predicts_each_step_from_what_the_tutor_saw(planner, recorded, monkeypatch) -> None:
+    """What is commanded is what one-step prediction says of the demonstration, however the arm moves meanwhile."""
+    demonstration = recorded["reach"][0]
+    found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, "vision"))
+    commanded = []
+
+    def played(joints, rate_hz, *more, **named):
+        commanded.append((joints, rate_hz))
+        return play(joints, rate_hz, *more, **named)
+
+    monkeypatch.setattr("preimage.evaluation.evaluate.play", played)
+    carry_out(planner, found, Arm(), TASKS["reach"], demonstration, "recorded")
+    policy, sensed = planner.follow(found), at_rate(demonstration, found.rate_hz)
+    ((joints, rate_hz),) = commanded
+    assert rate_hz == found.rate_hz
+    assert len(joints) == len(sensed)
+    np.testing.assert_array_equal(joints[0], sensed.joints[0])
+    np.testing.assert_array_equal(joints[1:], [policy(sensed[step]) for step in range(len(sensed) - 1)])
+
+
+def test_with_a_memory_there_is_the_arm_that_goes_straight_to_what_it_expects(model, demonstrations) -> None:
+    options = replace(PlanOptions.full(), iterations=0, restarts=0, horizon=4, precision="float32")
+    planner = Planner(model, remember(demonstrations, model), options)
+    (one,) = evaluate(planner, Arm(), TASKS["reach"], goals=1, seed=3, shown=shown_of(demonstrations))
+    straight = straight_through(np.vstack([one.demonstration.joints[:1], one.plan.expected_joints]), len(one.plan), gripper=None)
+    alone = play(straight, one.plan.rate_hz, Arm(), one.demonstration.scene, task=TASKS["reach"])
+    assert one.baselines["memory_alone"].deviation_m == alone.deviation_m

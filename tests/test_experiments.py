@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from preimage.evaluation.experiments import SIZES, Cell, cells_of, goals_of, network_of, principal_plane, rank_correlation, reproduce
+from preimage.evaluation.experiments import goals_of, principal_plane, rank_correlation, reproduce
+from preimage.evaluation.recipes import Cell, cells_of, learning_of, network_of
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN
+from preimage.presets import SIZES, Preset, TrainOptions
 from preimage.records import Demonstration
 from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS
@@ -46,13 +48,46 @@ def test_the_plane_holds_what_differs_most() -> None:
     assert np.abs(flat[0]).tolist() == pytest.approx([5.0, 2.5])
 
 
+def test_presets_share_what_they_train_alike_and_nothing_else() -> None:
+    full, regression, paper = (Cell("reach", preset=preset) for preset in ("full", "regression", "paper"))
+    assert full.run == regression.run == full.name
+    assert paper.run == paper.name != full.run
+    assert regression.name not in (full.name, full.run)
+    assert len({each.name for each in (full, regression, paper)}) == 3
+
+
+def test_the_paper_is_trained_with_its_network_and_with_no_idea() -> None:
+    for task in TASKS:
+        cell = Cell(task, num_demonstrations=25, preset="paper", seed=2)
+        assert learning_of(cell) == TrainOptions(seed=2)
+        assert (network_of(cell).intention, network_of(cell).intention_layers, network_of(cell).keypoints) == ("free", None, 0)
+    assert network_of(Cell("reach", size="paper", preset="paper")) == ModelConfig.paper()
+    assert learning_of(Cell("reach", num_demonstrations=25)).mixup > 0
+
+
+def test_updates_that_are_asked_for_stand_above_the_recipe() -> None:
+    assert learning_of(Cell("two-points", updates=7)).updates == 7
+    assert learning_of(Cell("two-points")).updates != TrainOptions().updates
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["paper", "regression"])
+def test_a_cell_of_another_preset_plans_without_memory(preset: Preset, tmp_path) -> None:
+    cell = Cell("reach", num_demonstrations=4, size="tiny", updates=2, goals=1, preset=preset, seed=1)
+    reproduce([cell], work=tmp_path / "work", out=tmp_path / "results", tell=lambda text: None)
+    result = json.loads((tmp_path / "results" / f"{cell.name}-closed.json").read_text())
+    assert result["preset"] == preset
+    assert set(result["baselines"]) == {"do_nothing", "nearest_demonstration", "prior_mean"}
+    assert result["plan"]["search"] == {"paper": "adam", "regression": "gauss_newton"}[preset]
+
+
 @pytest.mark.slow
 def test_a_cell_from_nothing_to_the_page_and_not_twice(tmp_path, monkeypatch) -> None:
     cell = Cell("reach", num_demonstrations=4, size="tiny", updates=3, goals=3, loops=("closed", "open"))
     told: list[str] = []
     reproduce([cell], work=tmp_path / "work", out=tmp_path / "results", tell=told.append)
     closed = json.loads((tmp_path / "results" / f"{cell.name}-closed.json").read_text())
-    baselines = {"do_nothing", "nearest_demonstration", "recalled_joints", "prior_mean", "behaviour_cloning"}
+    baselines = {"do_nothing", "nearest_demonstration", "memory_alone", "prior_mean", "behaviour_cloning"}
     assert baselines == closed["baselines"].keys()
     assert (tmp_path / "results" / f"{cell.name}-recognition.json").exists()
     (tmp_path / "results" / f"{cell.name}-recognition.json").unlink()  # as if stopped before it was written

@@ -24,7 +24,7 @@ from preimage.evaluation.held_out import (
     way_of,
     write_films,
 )
-from preimage.method.plan import PlanConfig
+from preimage.presets import Planner, PlanOptions, remember
 from preimage.records import Percept, Plan, Shown, Stopped
 from preimage.report.results import evaluations_among, held_out_table
 
@@ -83,6 +83,12 @@ def test_errors_by_hand():
     assert errors_of(recorded, Way(recorded.joints, darker[-1], darker)).frame_at_arrival == pytest.approx(100)
 
 
+def test_a_plan_without_memory_has_no_baseline_of_it(model, demonstrations):
+    planner = Planner(model, None, PlanOptions(iterations=0, candidates=1, horizon=4))
+    (one,) = compare(planner, {2: make_demonstration(30, num_steps=7)}, shown=[shown_of(each) for each in demonstrations])
+    assert set(one.baselines) == {"nearest_demonstration", "prior_mean", "staying"}
+
+
 def test_what_a_plan_imagines_after_its_arrival_is_not_looked_at():
     recorded = make_demonstration(num_steps=6)
     frames = np.concatenate([recorded.frames, 255 - recorded.frames])
@@ -96,7 +102,8 @@ def test_what_a_plan_imagines_after_its_arrival_is_not_looked_at():
 @pytest.fixture(scope="module")
 def compared(model, demonstrations):
     others = {3: make_demonstration(30, num_steps=7), 8: make_demonstration(31, num_steps=9)}
-    return compare(model, others, shown=[shown_of(one) for one in demonstrations], config=PlanConfig(iterations=1, horizon=4))
+    planner = Planner(model, remember(demonstrations, model), replace(PlanOptions.full(), iterations=1, horizon=4))
+    return compare(planner, others, shown=[shown_of(one) for one in demonstrations])
 
 
 def test_the_planner_sees_the_two_ends_alone(compared):
@@ -114,9 +121,9 @@ def test_baselines_are_those_that_were_named(compared, demonstrations):
         nearest = min(demonstrations, key=lambda each, wanted=wanted: np.square(each.frames[-1] - wanted).sum())
         by_hand = np.abs(nearest.joints[-1] - one.demonstration.joints[-1]).mean()
         assert one.baselines["nearest_demonstration"].joints_at_arrival == pytest.approx(by_hand)
-        recalled = one.baselines["recalled_joints"]
-        assert recalled.joints_at_arrival == pytest.approx(np.abs(one.plan.recalled[-1] - one.demonstration.joints[-1]).mean())
-        assert (recalled.frame_at_arrival, recalled.frames_on_the_way) == (None, None)
+        expected = one.baselines["memory_alone"]
+        assert expected.joints_at_arrival == pytest.approx(np.abs(one.plan.expected_joints[-1] - one.demonstration.joints[-1]).mean())
+        assert (expected.frame_at_arrival, expected.frames_on_the_way) == (None, None)
 
 
 def test_a_result_survives_json_and_agrees_with_its_rows(compared):
@@ -146,7 +153,7 @@ def test_what_is_printed_claims_no_success(compared):
     share = result["imagined_as_share_of"]["nearest_demonstration"]["joints_at_arrival"]
     assert lines[7] == f"At arrival the imagined joints are off by {share:.2f} of the error of nearest_demonstration, on average."
     assert lines[8].startswith("At arrival the imagined frame is off by ")
-    ways = ["imagined", "nearest_demonstration", "recalled_joints", "prior_mean", "staying"]
+    ways = ["imagined", "nearest_demonstration", "memory_alone", "prior_mean", "staying"]
     assert [line.split()[0] for line in lines[2:7]] == ways
 
 
@@ -162,7 +169,7 @@ def test_films_show_best_median_and_worst(compared, tmp_path):
 @pytest.mark.usefixtures("unchecked")
 def test_recordings_of_another_robot_are_told(model):
     with pytest.raises(ValueError, match=r"episode 0 has joints \('joint 0', .*the model was trained with"):
-        compare(model, {0: make_demonstration(num_joints=5)}, shown=[])
+        compare(Planner(model), {0: make_demonstration(num_joints=5)}, shown=[])
 
 
 # On the command line

@@ -43,11 +43,48 @@ def test_coordinates_of_free_intentions_have_unit_variance() -> None:
     torch.testing.assert_close(space.training.std(0), torch.ones(4), atol=1e-3, rtol=0)
 
 
-def test_no_dimensions_leave_a_free_intention_as_it_is() -> None:
+def test_no_dimensions_are_all_in_which_the_intentions_differ() -> None:
+    for kind, kept in (("free", 5), ("latent", 3)):  # six sequences span five directions, three numbers three
+        one = table(kind)
+        space = one.space(dimensions=None)
+        assert space.training.shape == (6, kept)
+        torch.testing.assert_close(space.training.std(0), torch.ones(kept), atol=1e-3, rtol=0)
+        torch.testing.assert_close(space.training.mean(0), torch.zeros(kept), atol=1e-5, rtol=0)
+        torch.testing.assert_close(space.intention(space.training).flatten(), one.intentions().flatten(), atol=1e-5, rtol=1e-4)
+
+
+def test_of_fewer_dimensions_those_are_kept_in_which_intentions_differ_most() -> None:
     one = table("free")
-    space = one.space(dimensions=None)
-    assert space.training.shape == (6, 2 * (32 + 5))
-    torch.testing.assert_close(space.intention(space.training).flatten(), one.intentions().flatten())
+    rows = one.intentions().flatten()
+    missed = [(one.space(kept).intention(one.space(kept).training).flatten() - rows).square().sum().item() for kept in range(1, 6)]
+    sizes = torch.linalg.svdvals(rows - rows.mean(0)).square()
+    assert missed == pytest.approx([sizes[kept:].sum().item() for kept in range(1, 6)], abs=1e-4)
+
+
+def test_noise_on_a_free_intention_is_distributed_as_the_training_intentions_are() -> None:
+    one = FreeTable({"motor1": (3,)}, num_sequences=5, noise=0.5, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        one.rows[:, 4] = 1.0  # all alike
+        one.rows[:, 1] *= 10
+    count = 20_000
+    drawn, _ = one.draw(torch.full((count,), 2), torch.Generator().manual_seed(1))
+    noise = drawn.flatten().detach() - one.rows[2].detach()
+    assert noise[:, 4].abs().max() < 1e-5, "where they do not differ there is none"
+    shown = 0.5**2 * one.rows.detach().T.cov()
+    torch.testing.assert_close(noise.T.cov(), shown, atol=0.05 * float(shown.max()), rtol=0.05)
+    assert noise.mean(0).abs().max() < 0.05 * float(shown.diagonal().sqrt().max())
+
+
+def test_a_free_intention_without_noise_is_itself_and_charged_its_squared_size() -> None:
+    one = table("free")
+    drawn, charge = one.draw(torch.tensor([4, 1]), torch.Generator())
+    assert drawn.flatten().equal(one.rows[[4, 1]])
+    assert charge.tolist() == pytest.approx(one.rows[[4, 1]].square().sum(1).tolist())
+
+
+def test_noise_of_a_single_free_intention_is_none() -> None:
+    one = FreeTable(SHAPES, num_sequences=1, noise=0.5, generator=torch.Generator().manual_seed(0))
+    assert one.draw(torch.tensor([0, 0]), torch.Generator())[0].flatten().equal(one.rows[[0, 0]])
 
 
 @pytest.mark.parametrize("kind", ["free", "latent"])

@@ -1,5 +1,7 @@
 """Laws of the network: what depends on what, Table I, and the agreement of its two ways to generate."""
 
+from dataclasses import replace
+
 import torch
 
 from preimage.network.config import ModelConfig, Sensors
@@ -86,18 +88,30 @@ def test_a_longer_horizon_begins_as_a_shorter_one() -> None:
     torch.testing.assert_close(long.pixels[:, :3], short.pixels)
 
 
-def test_open_loop_fed_with_closed_loop_is_closed_loop() -> None:
-    model, start = network(), start_of(percepts(1))
-    intention = model.intention_table.intentions()
-    imagined = model.generate_closed_loop(intention, start, num_steps=4)
-    sensed = imagined.pixels, imagined.log_codes.exp()
-    assert_same(model.generate_open_loop(intention, sensed, start=start), imagined)
-
-
-def test_share_zero_is_the_closed_loop() -> None:
+@torch.no_grad()
+def test_both_loops_are_the_network_step_by_step() -> None:
+    """In open loop with what was sensed before, in closed loop with what was imagined before; the first percept stands before the first."""
     model, sensed = network(), percepts(4)
-    intention = model.intention_table.intentions()
-    assert_same(
-        model.generate_open_loop(intention, sensed, share=0.0),
-        model.generate_closed_loop(intention, start_of(sensed), num_steps=4),
-    )
+    intention, step = model.intention_table.intentions(), model.at(torch.float64)
+    for closed in (False, True):
+        inputs, states, outputs = start_of(sensed), model.initial_states(intention), []
+        for number in range(4):
+            (pixels, log_codes), states = step(inputs, states)
+            outputs.append((pixels, log_codes))
+            inputs = (pixels, log_codes.exp()) if closed else (sensed[0][:, number], sensed[1][:, number])
+        by_hand = Generated(*(torch.stack(parts, 1) for parts in zip(*outputs, strict=True)))
+        at_once = model.generate_closed_loop(intention, start_of(sensed), num_steps=4) if closed else None
+        assert_same(at_once or model.generate_open_loop(intention, sensed), by_hand)
+
+
+def test_a_network_with_keypoints_hears_where_things_are() -> None:
+    """The motors' first prediction changes with where a thing lies, through the keypoints alone, and every weight gets a gradient."""
+    config = replace(ModelConfig.tiny(), keypoints=3)
+    model = PDVMRNN(config, SENSORS, num_sequences=2, seed=1).double()
+    start = torch.rand(2, 1, 16, 16, generator=torch.Generator().manual_seed(0)).double(), torch.full((2, 2, 10), 0.1).double()
+    generated = model.generate_closed_loop(model.intention_table.intentions(), start, num_steps=4)
+    (generated.pixels.square().sum() + generated.log_codes.square().sum()).backward()
+    assert not [name for name, value in model.named_parameters() if value.grad is None and "log_deviation" not in name]
+    assert generated.log_codes.isfinite().all()
+    plain = PDVMRNN(replace(config, keypoints=0), SENSORS, num_sequences=2, seed=1)
+    assert sum(p.numel() for p in model.parameters()) > sum(p.numel() for p in plain.parameters())

@@ -1,4 +1,4 @@
-"""Laws of one-step prediction: it is the network's open loop, bent as the plan is."""
+"""Laws of one-step prediction: it is the network's open loop, corrected as the plan is, and keeps no graph."""
 
 from dataclasses import replace
 
@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from bars import bar, tiny_double
-from preimage.ideas.test_time_augmentation import glances
+from bars import PAPER, bar, tiny_double
+from preimage.method.config import PlanConfig
 from preimage.method.one_step import follow
-from preimage.method.plan import PlanConfig, as_inputs, imagine_without_goal, plan
+from preimage.method.plan import as_inputs, imagine_without_goal, plan
 from preimage.network.intention import unflatten
 from preimage.network.pdvmrnn import PDVMRNN
+from preimage.presets import Planner
 from preimage.records import Percept
 
 SHOWN = bar(0.6)
+CONFIG = PlanConfig(precision="float32", iterations=1, candidates=2)
 
 
 @pytest.fixture(scope="module")
@@ -22,34 +24,67 @@ def model() -> PDVMRNN:
     return tiny_double()
 
 
-@pytest.mark.parametrize("glance", [0.0, 0.05])
-def test_it_is_the_open_loop_of_what_is_seen_at_a_glance(model: PDVMRNN, glance: float) -> None:
-    config = PlanConfig(precision="float64", glance=glance, recalls=False, rests=False)
-    found = plan(model, start=SHOWN.first, goal=SHOWN.last, config=config)
-    policy = follow(model, found, config=config)
+@pytest.mark.parametrize("by", [0.0, 0.05])
+def test_it_is_the_open_loop_of_what_is_looked_at(model: PDVMRNN, by: float) -> None:
+    planner = Planner(model, None, replace(PAPER, iterations=1, candidates=2, test_time_augmentation=by))
+    policy = planner.follow(found := planner.plan(start=SHOWN.first, goal=SHOWN.last))
     stepwise = np.stack([policy(SHOWN[step]) for step in range(len(SHOWN) - 1)])
     pixels, codes = (torch.stack(parts) for parts in zip(*(as_inputs(model, SHOWN[step], name="step") for step in range(6)), strict=True))
-    looks = torch.stack([glances(frame, glance) for frame in pixels], 1)  # (looks, T, C, H, W)
+    augmentation = planner.options.augmentation()
+    looks = torch.stack([augmentation.looks(frame) for frame in pixels], 1) if augmentation else pixels[None]  # (looks, T, C, H, W)
+    assert len(looks) == (9 if by else 1)
     intention = unflatten(torch.from_numpy(found.intention).expand(len(looks), -1), model.intention_table.shapes)
     opened = model.generate_open_loop(intention, (looks, codes.expand(len(looks), *codes.shape)))
     at_once = model.coding.decode(opened.log_codes.exp()).mean(0).numpy()
     np.testing.assert_allclose(stepwise, at_once[1:], atol=1e-6)
 
 
-def test_it_is_bent_as_the_plan_is(model: PDVMRNN) -> None:
-    config = PlanConfig(precision="float64", glance=0.0)
-    straight = imagine_without_goal(model, SHOWN.first, config=config)
-    bend = 0.03 * np.arange(len(straight.joints))[:, None] * np.array([1.0, -1.0])
-    policy = follow(model, straight, config=config)
-    bent_policy = follow(model, replace(straight, joints=straight.joints + bend), config=config)
-    for step in range(len(bend) + 2):
-        here, there = bend[min(step, len(bend) - 1)], bend[min(step + 1, len(bend) - 1)]  # after the end it stays bent
+def test_it_is_corrected_as_the_plan_is(model: PDVMRNN) -> None:
+    straight = imagine_without_goal(model, SHOWN.first, config=CONFIG)
+    correction = 0.03 * np.arange(len(straight.joints))[:, None] * np.array([1.0, -1.0])
+    policy = follow(model, straight)
+    corrected_policy = follow(model, replace(straight, joints=straight.joints + correction))
+    for step in range(len(correction) + 2):
+        here, there = correction[min(step, len(correction) - 1)], correction[min(step + 1, len(correction) - 1)]  # after the end it stays
         sensed = SHOWN[min(step, len(SHOWN) - 1)]
-        there_in_fact = bent_policy(Percept(sensed.frame, sensed.joints + here))
-        np.testing.assert_allclose(there_in_fact, policy(sensed) + there, atol=1e-6)
+        predicted = corrected_policy(Percept(sensed.frame, sensed.joints + here))
+        np.testing.assert_allclose(predicted, policy(sensed) + there, atol=1e-6)
+
+
+def test_the_papers_plan_is_followed_without_a_correction(model: PDVMRNN) -> None:
+    found = plan(model, start=SHOWN.first, goal=SHOWN.last, config=CONFIG)
+    one, other = follow(model, found), follow(model, replace(found, imagined_joints=None))
+    np.testing.assert_array_equal(one(SHOWN[0]), other(SHOWN[0]))
+
+
+def test_no_graph_is_kept_of_a_model_that_is_not_frozen(model: PDVMRNN, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once each step held on to all before it, until memory was full."""
+    found = plan(model, start=SHOWN.first, goal=SHOWN.last, config=CONFIG)
+    recorded = []
+    plain = model.at
+
+    def watched(*how):
+        step = plain(*how)
+
+        def stepped(inputs, states):
+            outputs, after = step(inputs, states)
+            recorded.extend(value.requires_grad for pair in after.values() for value in pair)
+            return outputs, after
+
+        return stepped
+
+    monkeypatch.setattr(model, "at", watched)
+    model.requires_grad_(True)
+    try:
+        policy = follow(model, found)
+        policy(SHOWN[0])
+    finally:
+        model.requires_grad_(False)
+    assert recorded
+    assert not any(recorded)
 
 
 def test_what_is_not_sensed_is_refused(model: PDVMRNN) -> None:
-    policy = follow(model, plan(model, goal=SHOWN.last, config=PlanConfig(iterations=1)))
+    policy = follow(model, plan(model, goal=SHOWN.last, config=CONFIG))
     with pytest.raises(ValueError, match="percept has no joints"):
         policy(Percept(SHOWN.last.frame))

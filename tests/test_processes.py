@@ -20,7 +20,7 @@ from preimage.network.config import ModelConfig
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Shown
 from preimage.robot import TASKS, Arm, record
-from test_training import CONFIG, demonstrations, weights
+from test_train import CONFIG, demonstrations, weights
 
 CASES = {"latent": ModelConfig.tiny(), "free": replace(ModelConfig.tiny(), intention_dimensions=None, intention_noise=0.1)}
 

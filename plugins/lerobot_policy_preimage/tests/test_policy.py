@@ -11,9 +11,10 @@ from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot.utils.constants import OBS_STATE
 from lerobot.utils.import_utils import register_third_party_plugins
 
-import lerobot_policy_preimage.modeling_preimage as modeling
 from lerobot_policy_preimage import PreimageConfig, PreimagePolicy
+from lerobot_policy_preimage.modeling_preimage import options_of
 from preimage.method.plan import home
+from preimage.presets import Planner, PlanOptions
 from preimage.records import Percept
 from preimage.storage.runs import find_run, load_model, read_shown
 
@@ -21,7 +22,7 @@ CAMERA, GOAL = "observation.images.camera", "observation.images.goal"
 
 
 def settings(**more) -> PreimageConfig:
-    return PreimageConfig(run="reach", device="cpu", fps=5.0, iterations=1, doubt=1.0, **more)
+    return PreimageConfig(run="reach", device="cpu", fps=5.0, iterations=1, restarts=0, **more)
 
 
 def pictures(frames) -> torch.Tensor:
@@ -47,12 +48,12 @@ def planned(monkeypatch) -> list[Percept]:
     """The goals that were planned to, one for every plan."""
     seen: list[Percept] = []
 
-    def plan(model, **asked):
+    def plan(planner, **asked):
         seen.append(asked["goal"])
-        return original(model, **asked)
+        return original(planner, **asked)
 
-    original = modeling.plan
-    monkeypatch.setattr(modeling, "plan", plan)
+    original = Planner.plan
+    monkeypatch.setattr(Planner, "plan", plan)
     return seen
 
 
@@ -143,3 +144,11 @@ def test_without_a_run_nothing_is_planned():
 def test_a_precision_that_does_not_exist_is_refused():
     with pytest.raises(ValueError, match=r"--policy\.precision is float8: give auto, bfloat16, float32"):
         PreimagePolicy(settings(precision="float8"))
+
+
+def test_plans_are_searched_for_as_the_preset_says():
+    assert options_of(PreimageConfig(run="reach", device="cpu")) == PlanOptions.full()
+    paper = PreimagePolicy(PreimageConfig(run="reach", device="cpu", preset="paper", iterations=0))
+    assert (paper.planner.memory, paper.planner.options) == (None, PlanOptions(iterations=0))
+    with pytest.raises(ValueError, match=r"--policy\.preset is best: give paper, regression, full"):
+        PreimagePolicy(settings(preset="best"))

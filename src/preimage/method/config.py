@@ -91,16 +91,8 @@ class PlanConfig:
     """Draws the initial guesses."""
 
     def __post_init__(self) -> None:
-        at_least = {
-            "candidates": 1,
-            "finalists": 1,
-            "screening": 0,
-            "horizon": 1,
-            "dimensions": 1,
-            "iterations": 0,
-            "intention_cost": 0,
-            "search_seed": 0,
-        }
+        at_least = dict.fromkeys(("candidates", "finalists", "horizon", "dimensions"), 1.0)
+        at_least |= dict.fromkeys(("screening", "iterations", "intention_cost", "search_seed"), 0.0)
         validate(self, at_least=at_least | {"initial_deviation": 0}, above_zero=("learning_rate", "delay_penalty"))
         if self.modalities not in ("vision", "joints", "both"):
             raise ValueError(f"modalities is {self.modalities}: give vision, joints or both")

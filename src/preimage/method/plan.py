@@ -76,10 +76,10 @@ def regress(problem: Problem, objective: Objective, ideas: Ideas) -> Regression:
 
 
 def random_guesses(problem: Problem, objective: Objective, generator: torch.Generator) -> torch.Tensor:
-    """Random intentions about the mean of the training sequences' (section II-C: "a random value")."""
+    """Random intentions about the mean of the training sequences', whose coordinates vary by about 1 (section II-C: "a random value")."""
     config, training = problem.config, problem.space.training
     drawn = torch.randn(config.candidates, training.shape[1], generator=generator).to(training)
-    return training.mean(0) + config.initial_deviation * training.std(0) * drawn
+    return training.mean(0) + config.initial_deviation * drawn
 
 
 @torch.no_grad()

@@ -6,7 +6,7 @@ from typing import get_args
 from lerobot.configs import PreTrainedConfig
 
 from preimage.compute.precision import Precision
-from preimage.method.plan import PlanConfig
+from preimage.presets import Preset
 
 
 @PreTrainedConfig.register_subclass("preimage")
@@ -24,10 +24,12 @@ class PreimageConfig(PreTrainedConfig):
     """Key of the camera in the observation; by default that of the run's recordings, or the only one there is."""
     fps: float = 30.0
     """Calls of `select_action` a second."""
+    preset: str = "full"
+    """paper, regression or full: how plans are searched for, as by `preimage plan --as`."""
     iterations: int | None = None
-    """Iterations of the error regression; by default as many as `preimage plan` makes."""
-    doubt: float = PlanConfig.doubt
-    """Share of what there is to explain above which a plan's error asks for another search."""
+    """Iterations of the error regression; by default those of the preset."""
+    restarts: int | None = None
+    """Training intentions from which a plan in doubt is searched for once more; by default those of the preset."""
     precision: str = "auto"
     """bfloat16, float32, or auto: bfloat16 where the device computes it natively, float32 elsewhere."""
     save_predicted_video: bool = False
@@ -39,6 +41,8 @@ class PreimageConfig(PreTrainedConfig):
             raise ValueError("the policy has no run: give --policy.run, a folder that `preimage train` wrote or a bundled name")
         if not self.fps > 0:
             raise ValueError(f"--policy.fps is {self.fps}: give the calls of select_action a second, a number above 0")
+        if self.preset not in get_args(Preset):
+            raise ValueError(f"--policy.preset is {self.preset}: give {', '.join(get_args(Preset))}")
         if self.precision not in get_args(Precision):
             raise ValueError(f"--policy.precision is {self.precision}: give {', '.join(get_args(Precision))}")
 

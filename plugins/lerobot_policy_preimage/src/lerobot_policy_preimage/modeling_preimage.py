@@ -1,6 +1,6 @@
 """The policy: at the first observation it imagines the way to the goal, then it plays that way, one action a call."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,14 +10,13 @@ from lerobot.utils.constants import OBS_STATE
 from torch import Tensor
 
 from lerobot_policy_preimage.configuration_preimage import PreimageConfig
-from preimage.compute.precision import resolve_precision
 from preimage.data.angles import unwrapped
 from preimage.data.sources import find_percept
 from preimage.data.view import look, unwraps
-from preimage.method.plan import PlanConfig, plan
+from preimage.presets import PlanOptions, load_planner
 from preimage.records import Percept
 from preimage.robot.limits import commands_of, limits_seen
-from preimage.storage.runs import find_run, load_model, read_body, read_shown, read_view
+from preimage.storage.runs import find_run, read_body, read_shown, read_view
 
 Batch = dict[str, Any]
 
@@ -39,6 +38,12 @@ class Playing:
         return self.actions[min(self.played, len(self.actions)) - 1]
 
 
+def options_of(config: PreimageConfig) -> PlanOptions:
+    """The preset, with what was asked for in place of its own."""
+    asked = {"iterations": config.iterations, "restarts": config.restarts, "precision": config.precision}
+    return replace(PlanOptions.of(config.preset), **{name: value for name, value in asked.items() if value is not None})
+
+
 class PreimagePolicy(PreTrainedPolicy):
     """Plans by error regression, once for each goal, and again after `reset`.
 
@@ -54,7 +59,8 @@ class PreimagePolicy(PreTrainedPolicy):
         super().__init__(config)
         config.validate_features()
         folder = find_run(config.run)  # once, so that all parts of a run on the Hub are of one revision
-        self.model, self.view, self.body = load_model(folder), read_view(folder), read_body(folder)
+        self.planner, self.view, self.body = load_planner(folder, options_of(config)), read_view(folder), read_body(folder)
+        self.model = self.planner.model
         self.limits = limits_seen(self.model.sensors, read_shown(folder), unit=self.body.joint_unit)
         self.known = [self.body.joint_names.index(name) for name in self.model.sensors.joint_names]
         found = find_percept(config.goal, self.model.sensors, view=self.view, default_step=-1) if config.goal else None
@@ -99,10 +105,8 @@ class PreimagePolicy(PreTrainedPolicy):
             raise ValueError(f"{OBS_STATE} has {len(state)} joints, the run's recordings have {len(self.body.joint_names)}: give {names}")
         joints = unwrapped(state[None, self.known], self.model.sensors.joint_names, unwraps(self.view))[0]
         start = Percept(self.frame_of(batch, self.camera_in(batch), row), joints)
-        precision = resolve_precision(self.config.precision, self.model.pixel_bias.device)
-        config = PlanConfig(iterations=self.config.iterations, doubt=self.config.doubt, precision=precision)
         with torch.inference_mode(False), torch.enable_grad():  # LeRobot calls in inference mode, in which nothing can be regressed
-            found = plan(self.model, start=start, goal=Percept(frame=goal), config=config)
+            found = self.planner.plan(start=start, goal=Percept(frame=goal))
         commands, _ = commands_of(found, self.limits)
         last = len(commands) - 1
         calls = np.arange(1, int(np.ceil(last * self.config.fps / found.rate_hz)) + 1)

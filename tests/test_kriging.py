@@ -1,9 +1,9 @@
-"""Laws of recall: what memory holds is found again, what lies between is blended, and the deviation tells how far to trust it."""
+"""Laws of kriging: what is known is found again, what lies between is blended, and the deviation tells how far to trust it."""
 
 import pytest
 import torch
 
-from preimage.ideas.kriging import JUDGES, recall
+from preimage.ideas.kriging import MAX_FIT_POINTS, krige
 
 
 def endings(count: int = 40, noise: float = 0.0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -15,49 +15,49 @@ def endings(count: int = 40, noise: float = 0.0) -> tuple[torch.Tensor, torch.Te
     return features, values + noise * torch.randn(values.shape, generator=draw)
 
 
-def test_what_is_in_memory_is_found_again() -> None:
+def test_what_is_known_is_found_again() -> None:
     features, values = endings()
-    assert recall([(features[7], features)], values).mean == pytest.approx(values[7].numpy(), abs=0.01)
+    assert krige([(features[7], features)], values).mean == pytest.approx(values[7].numpy(), abs=0.01)
 
 
 def test_what_lies_between_is_nearer_than_the_nearest() -> None:
     features, values = endings()
     others = torch.arange(40) != 7
-    recalled = recall([(features[7], features[others])], values[others]).mean
+    predicted = krige([(features[7], features[others])], values[others]).mean
     nearest = values[others][(features[others] - features[7]).square().sum(1).argmin()]
-    assert (recalled - values[7]).norm() < 0.2 * (nearest - values[7]).norm()
+    assert (predicted - values[7]).norm() < 0.2 * (nearest - values[7]).norm()
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.2])
 def test_the_deviation_is_that_of_the_noise(noise: float) -> None:
     amid = torch.tensor([0.5, 0.5, 0.25, 0.25])
     features, values = endings(200, noise)
-    recalled = recall([(amid, features)], values)
-    assert recalled.deviation == pytest.approx(torch.full((2,), noise).numpy(), rel=0.3)
+    predicted = krige([(amid, features)], values)
+    assert predicted.deviation == pytest.approx(torch.full((2,), noise).numpy(), rel=0.3)
 
 
 def test_of_many_endings_those_that_look_alike_choose_how_to_ask_all() -> None:
     """Twice as many as may choose; a view that shows nothing is not taken."""
-    features, values = endings(2 * JUDGES)
-    others = torch.arange(2 * JUDGES) != 7
+    features, values = endings(2 * MAX_FIT_POINTS)
+    others = torch.arange(2 * MAX_FIT_POINTS) != 7
     shown = features[others]
-    recalled = recall([(torch.zeros(4), torch.zeros_like(shown)), (features[7], shown)], values[others])
-    assert recalled.mean == pytest.approx(values[7].numpy(), abs=1e-3)
+    predicted = krige([(torch.zeros(4), torch.zeros_like(shown)), (features[7], shown)], values[others])
+    assert predicted.mean == pytest.approx(values[7].numpy(), abs=1e-3)
 
 
 def test_what_lies_beyond_all_endings_is_told_less_surely() -> None:
     features, values = endings()
-    amid, beyond = (recall([(torch.tensor([a, a, a * a, a * a]), features)], values) for a in (0.5, 2.0))
+    amid, beyond = (krige([(torch.tensor([a, a, a * a, a * a]), features)], values) for a in (0.5, 2.0))
     assert (beyond.deviation > 3 * amid.deviation).all()
 
 
 def test_a_single_ending_tells_itself_and_is_not_trusted() -> None:
-    recalled = recall([(torch.ones(3), torch.zeros(1, 3))], torch.tensor([[4.0, 5.0]]))
-    assert recalled.mean.tolist() == [4.0, 5.0]
-    assert recalled.deviation.isinf().all()
+    predicted = krige([(torch.ones(3), torch.zeros(1, 3))], torch.tensor([[4.0, 5.0]]))
+    assert predicted.mean.tolist() == [4.0, 5.0]
+    assert predicted.deviation.isinf().all()
 
 
 def test_endings_that_look_all_the_same_tell_their_mean() -> None:
-    recalled = recall([(torch.zeros(3), torch.zeros(4, 3))], torch.tensor([[0.0], [2.0], [4.0], [6.0]]))
-    assert recalled.mean.item() == pytest.approx(3.0, abs=1e-4)
-    assert recalled.deviation.item() > 2
+    predicted = krige([(torch.zeros(3), torch.zeros(4, 3))], torch.tensor([[0.0], [2.0], [4.0], [6.0]]))
+    assert predicted.mean.item() == pytest.approx(3.0, abs=1e-4)
+    assert predicted.deviation.item() > 2
