@@ -109,8 +109,9 @@ class PlanOptions(PlanConfig):
         super().__post_init__()
         validate(
             self,
-            at_least=dict.fromkeys(("restarts", "restart_threshold", "tolerance", "test_time_augmentation"), 0.0),
+            at_least=dict.fromkeys(("restarts", "restart_threshold", "tolerance", "test_time_augmentation"), 0),
             above_zero=("finite_difference_step",),
+            choices={"search": ("adam", "gauss_newton"), "guess": ("random", "nearest", "kriged")},
         )
 
     @classmethod
