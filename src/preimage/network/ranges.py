@@ -1,18 +1,11 @@
 """Settings validate themselves: what can be asked for is refused where it is asked, on the command line and in Python alike."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 
-def validate(
-    settings: Any,
-    *,
-    at_least: Mapping[str, float] = {},
-    above_zero: Iterable[str] = (),
-    shares: Iterable[str] = (),
-    choices: Mapping[str, Collection[str]] = {},
-) -> None:
+def validate(settings: Any, *, at_least: Mapping[str, float] = {}, above_zero: Iterable[str] = (), shares: Iterable[str] = ()) -> None:
     """Raises ValueError for the first field that is out of range; None stands for a default and passes.
 
     >>> from types import SimpleNamespace
@@ -26,8 +19,6 @@ def validate(
         _require(settings, name, lambda value: 0 < value < math.inf, "a number above 0")
     for name in shares:
         _require(settings, name, lambda value: 0 <= value <= 1, "a share between 0 and 1")
-    for name, known in choices.items():
-        _require(settings, name, lambda value, known=known: value in known, " or ".join(known))
 
 
 def _require(settings: Any, name: str, fits: Any, wanted: str) -> None:
