@@ -151,12 +151,15 @@ def test_nan_in_the_joints_of_a_goal(refused, run_folder, data, tmp_path):
         ("learning-rate", "nan", "a number above 0"),
         ("learning-rate", "inf", "a number above 0"),
         ("intention-learning-rate", 0.0, "a number above 0"),
-        ("open-loop-share", 1.5, "a share between 0 and 1"),
+        ("later-starts", 1.5, "a share between 0 and 1"),
+        ("final-share", -0.1, "a share between 0 and 1"),
+        ("mixup-arity", 1, "2 or more"),
     ],
 )
 def test_settings_of_training_out_of_range(refused, data, tmp_path, option, value, least):
     code, sentence = refused("train", data, "--out", tmp_path / "run", f"--{option}", value)
-    assert (code, sentence) == (2, f"--{option} is {value}: give {least}")
+    assert code == 2
+    assert sentence.replace(".0 or", " or").startswith(f"{option.replace('-', '_')} (--{option}) is {value}: give {least}")
     assert not (tmp_path / "run").exists()
 
 
@@ -167,13 +170,16 @@ def test_settings_of_training_out_of_range(refused, data, tmp_path, option, valu
         ("iterations", -1, "0 or more"),
         ("horizon", 0, "1 or more"),
         ("delay-penalty", 0.0, "a number above 0"),
+        ("restarts", -1, "0 or more"),
+        ("finite-difference-step", "nan", "a number above 0"),
     ],
 )
 def test_settings_of_the_search_out_of_range(refused, run_folder, data, tmp_path, option, value, least):
-    code, sentence = refused("plan", run_folder, "--goal", f"{data}:0", "--out", tmp_path / "plan", f"--{option}", value)
-    assert (code, sentence) == (2, f"--{option} is {value}: give {least}")
-    code, sentence = refused("evaluate", run_folder, "--out", tmp_path / "result.json", f"--{option}", value)
-    assert (code, sentence) == (2, f"--{option} is {value}: give {least}")
+    for verb in (["plan", run_folder, "--goal", f"{data}:0"], ["evaluate", run_folder]):
+        code, sentence = refused(*verb, "--out", tmp_path / "out", f"--{option}", value)
+        assert code == 2
+        assert sentence.replace(".0 or", " or").startswith(f"{option.replace('-', '_')} (--{option}) is {value}: give {least}")
+    assert not (tmp_path / "out").exists()
 
 
 def test_goal_joints_that_would_not_be_looked_at(refused, run_folder, data, tmp_path):

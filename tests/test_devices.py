@@ -8,10 +8,11 @@ import torch
 from changes import apart, learning_nothing
 from preimage.compute.devices import CPU, place_of
 from preimage.compute.processes import Crew
-from preimage.method.plan import imagine_library
+from preimage.method.config import PlanConfig
+from preimage.method.plan import home, problem_of
 from preimage.method.train import train
 from preimage.network.config import ModelConfig
-from preimage.network.pdvmrnn import PDVMRNN
+from preimage.network.pdvmrnn import PDVMRNN, Generated
 from test_train import CONFIG, demonstrations
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
@@ -37,14 +38,18 @@ def test_a_gpu_learns_what_a_cpu_learns():
     assert apart(by_gpu, by_cpu, begun=begun) < 0.01
 
 
+def rollouts(model: PDVMRNN) -> Generated:
+    return problem_of(model, home(model), home(model), PlanConfig(precision="float32")).rollouts
+
+
 @needs_gpu
 def test_what_is_recorded_follows_the_weights():
     model = train(demonstrations(), ModelConfig.tiny(), config=CONFIG)
-    seen = imagine_library(model).imagined
+    seen = rollouts(model)
     there = model.to("cuda")
     for _ in range(2):  # recorded, then replayed
-        torch.testing.assert_close(imagine_library(there).imagined.pixels.cpu(), seen.pixels, rtol=0, atol=0.05)
+        torch.testing.assert_close(rollouts(there).pixels.cpu(), seen.pixels, rtol=0, atol=0.05)
     with torch.no_grad():
         there.pixel_bias.fill_(9.0)
-    assert imagine_library(there).imagined.pixels.min() > 0.9
+    assert rollouts(there).pixels.min() > 0.9
     assert isinstance(there, PDVMRNN)

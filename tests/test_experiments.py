@@ -58,9 +58,9 @@ def test_presets_share_what_they_train_alike_and_nothing_else() -> None:
 
 def test_the_paper_is_trained_with_its_network_and_with_no_idea() -> None:
     for task in TASKS:
-        cell = Cell(task, num_demonstrations=25, preset="paper", seed=2)
+        cell = Cell(task, num_demonstrations=25, size="tiny", preset="paper", seed=2)
         assert learning_of(cell) == TrainOptions(seed=2)
-        assert (network_of(cell).intention, network_of(cell).intention_layers, network_of(cell).keypoints) == ("free", None, 0)
+        assert network_of(cell) == ModelConfig.tiny().as_paper()
     assert network_of(Cell("reach", size="paper", preset="paper")) == ModelConfig.paper()
     assert learning_of(Cell("reach", num_demonstrations=25)).mixup > 0
 

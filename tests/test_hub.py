@@ -87,10 +87,21 @@ def test_what_is_pushed_and_loaded_again_plans_to_the_digit_as_before(fake_hub, 
     assert (before.error, before.arrival_step) == (after.error, after.arrival_step)
 
 
+def test_the_memory_of_the_demonstrations_comes_along_where_there_is_one(fake_hub, run_folder, tmp_path):
+    """Once it stayed behind, and nobody could plan with a run of the Hub by all ideas."""
+    shutil.copytree(run_folder, tmp_path / "paper")
+    (tmp_path / "paper" / "memory.safetensors").unlink()
+    for run, name in ((run_folder, "lab/tiny"), (tmp_path / "paper", "lab/paper")):
+        preimage.push_to_hub(run, name)
+        there = find_run(f"hf:{name}")
+        assert (there / "memory.safetensors").is_file() == (run / "memory.safetensors").is_file()
+    assert preimage.load_planner("hf:lab/tiny").memory is not None
+
+
 def test_all_that_a_verb_reads_of_a_run_comes_back(fake_hub, run_folder):
     preimage.push_to_hub(run_folder, "lab/tiny")
     there = find_run("hf:lab/tiny")
-    assert {path.name for path in there.iterdir()} == {"config.json", "model.safetensors", "shown.npz", "README.md"}
+    assert {path.name for path in there.iterdir()} == {"config.json", "model.safetensors", "memory.safetensors", "shown.npz", "README.md"}
     assert (read_view(there), read_body(there)) == (read_view(run_folder), read_body(run_folder))
     for one, other in zip(preimage.read_shown(there), preimage.read_shown(run_folder), strict=True):
         np.testing.assert_array_equal(one.joints, other.joints)

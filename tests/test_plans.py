@@ -43,9 +43,9 @@ def assert_equal(one, other) -> None:
 
 @pytest.mark.parametrize("goal", [None, Percept(joints=np.zeros(2)), Percept(np.zeros((8, 6, 1), np.uint8), np.ones(2))])
 @pytest.mark.parametrize("scene", [None, SCENE])
-@pytest.mark.parametrize("recalled", [None, np.array([[0.1, -0.2], [0.3, 0.4]])])
-def test_load_undoes_save(tmp_path, goal, scene, recalled):
-    plan = dataclasses.replace(make_plan(goal=goal), recalled=recalled)
+@pytest.mark.parametrize("expected_joints", [None, np.array([[0.1, -0.2], [0.3, 0.4]])])
+def test_load_undoes_save(tmp_path, goal, scene, expected_joints):
+    plan = dataclasses.replace(make_plan(goal=goal), expected_joints=expected_joints)
     save_plan(plan, tmp_path / "new" / "plan", scene=scene)
     loaded, loaded_scene = load_plan(tmp_path / "new" / "plan")
     assert_equal(plan, loaded)

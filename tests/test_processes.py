@@ -14,15 +14,15 @@ import torch
 from preimage.compute.processes import Crew, ProcessLost, gather
 from preimage.data.sequences import sensors_of
 from preimage.evaluation.evaluate import evaluate
-from preimage.method.plan import PlanConfig
 from preimage.method.train import Progress, train
 from preimage.network.config import ModelConfig
 from preimage.network.pdvmrnn import PDVMRNN
+from preimage.presets import Planner, PlanOptions
 from preimage.records import Shown
 from preimage.robot import TASKS, Arm, record
 from test_train import CONFIG, demonstrations, weights
 
-CASES = {"latent": ModelConfig.tiny(), "free": replace(ModelConfig.tiny(), intention_dimensions=None, intention_noise=0.1)}
+CASES = {"latent": ModelConfig.tiny(), "free": ModelConfig.tiny().as_paper()}
 
 
 def learned(model_config: ModelConfig, crew: Crew = Crew(), **more: Any) -> torch.Tensor:  # noqa: B008, frozen
@@ -47,8 +47,8 @@ def planned(crew: Crew = Crew()) -> list[float]:  # noqa: B008, frozen
     seen = record(Arm(), task, count=1, seed=0)
     model = PDVMRNN(ModelConfig.tiny(), sensors_of(seen)).requires_grad_(False)
     shown = [Shown(one.last.frame, one.joints, one.rate_hz) for one in seen]
-    config = PlanConfig(iterations=1, horizon=3)
-    return [one.plan.error for one in evaluate(model, Arm(), task, goals=3, seed=1, shown=shown, config=config, crew=crew)]
+    planner = Planner(model, None, PlanOptions(iterations=1, horizon=3))
+    return [one.plan.error for one in evaluate(planner, Arm(), task, goals=3, seed=1, shown=shown, crew=crew)]
 
 
 def work(rank: int, folder: Path) -> None:

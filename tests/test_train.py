@@ -118,11 +118,19 @@ def test_a_killed_process_loses_no_more_than_since_the_checkpoint(tmp_path: Path
 
 
 def test_a_number_that_is_not_finite_stops_the_run_and_is_named(tmp_path: Path) -> None:
-    config = replace(CONFIG, learning_rate=1e20, warmup_updates=1)
-    with pytest.raises(NonFinite, match=r"is not finite at update \d"):
-        train(demonstrations(), ModelConfig.tiny(), config=config, folder=tmp_path / "run")
+    drawn: list[Batch] = []
+
+    def broken_at_3(batch: Batch, *_: object) -> Batch:
+        drawn.append(batch)
+        joints = batch.sequences.joints.clone()
+        joints[:, 1:] *= torch.nan if len(drawn) == 3 else 1  # what begins is sensed, and would spoil what is imagined
+        return replace(batch, sequences=replace(batch.sequences, joints=joints))
+
+    with pytest.raises(NonFinite, match="the proprioceptive error is not finite at update 3: a lower learning rate"):
+        train(demonstrations(), ModelConfig.tiny(), config=CONFIG, folder=tmp_path / "run", augmentations=[broken_at_3])
     saved = json.loads((tmp_path / "run" / "non_finite.json").read_text())
-    assert saved["tensor"]
+    assert saved == {"update": 3, "tensor": "the proprioceptive error"}
+    assert all(value.isfinite().all() for value in load_model(tmp_path / "run").state_dict().values())
 
 
 def test_a_full_folder_is_not_written_over(tmp_path: Path) -> None:

@@ -109,9 +109,12 @@ class PlanOptions(PlanConfig):
         super().__post_init__()
         validate(
             self,
-            at_least=dict.fromkeys(("restarts", "restart_threshold", "tolerance", "test_time_augmentation"), 0.0),
+            at_least=dict.fromkeys(("restarts", "restart_threshold", "tolerance", "test_time_augmentation"), 0),
             above_zero=("finite_difference_step",),
         )
+        for name, known in {"search": ("adam", "gauss_newton"), "guess": ("random", "nearest", "kriged")}.items():
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name} (--{name}) is {getattr(self, name)}: give {' or '.join(known)}")
 
     @classmethod
     def regression(cls) -> Self:

@@ -29,8 +29,10 @@ from huggingface_hub.errors import (
 
 PREFIX = "hf:"
 NEEDED = ("config.json", "model.safetensors", "shown.npz")
+MEMORY = "memory.safetensors"
+"""Of the demonstrations; a run that was trained by the paper alone has none."""
 CARD = "README.md"
-KEPT_THERE = (*NEEDED, CARD)
+KEPT_THERE = (*NEEDED, MEMORY, CARD)
 """All that is sent and fetched."""
 BROKEN_OFF = HTTPError, ConnectionError
 """What a broken connection raises; the first is that of the HTTP library beneath, which is another one from version to version."""
@@ -94,11 +96,11 @@ def upload(folder: Path, repository: str, *, license: str | None, private: bool)
     repository, revision = parts_of(name)
     if revision:
         raise ValueError(f"{name} names a revision, and a run is sent to the newest: give {PREFIX}{repository}")
-    if missing := [each for each in KEPT_THERE if not (folder / each).is_file()]:
+    if missing := [each for each in (*NEEDED, CARD) if not (folder / each).is_file()]:
         raise ValueError(f"{folder} has no {', no '.join(missing)}: train it to its first checkpoint before it is sent")
     with tempfile.TemporaryDirectory(prefix="preimage-") as scratch:
         draft = Path(scratch)
-        for each in NEEDED:
+        for each in (*NEEDED, *([MEMORY] if (folder / MEMORY).is_file() else [])):
             shutil.copy(folder / each, draft)
         (draft / CARD).write_text(card_there((folder / CARD).read_text(), name, license))
         try:
