@@ -22,7 +22,7 @@ from preimage.storage.locks import LOCK, locked
 from preimage.storage.runs import load_model, read_log, read_shown
 from preimage.storage.validation import WEIGHTS
 from test_output_folders import tree
-from test_training import demonstrations, weights
+from test_train import demonstrations, weights
 
 CONFIG = TrainConfig(updates=6, batch_size=2, rest_steps=2, checkpoint_every=2, precision="float32")
 

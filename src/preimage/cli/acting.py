@@ -6,7 +6,7 @@ What a verb's signature does not need is loaded in its function, so that a word 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -14,13 +14,11 @@ from tyro.conf import Positional
 
 from preimage.cli.screen import bar, remark
 from preimage.compute.choices import Device
+from preimage.network.config import Sensors
 from preimage.presets import PlanOptions, Preset, load_planner
 from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Percept, Plan, Verdict, number_of
 from preimage.storage.bundled import BUNDLED
 from preimage.storage.output_folders import Kind, output_folder, validate_output_file, validate_output_folder
-
-if TYPE_CHECKING:
-    from preimage.network.config import Sensors
 
 MOST_GOALS = 1000
 DEMO = Kind("demo", required=("report.html", "result.json"), pattern="goal-*.*")
