@@ -13,7 +13,6 @@ import pytest
 
 import preimage
 from preimage import cli
-from preimage.cli import acting
 from preimage.method.train import NonFinite
 from test_output_folders import make_clone, tree
 
@@ -25,7 +24,7 @@ def failing(monkeypatch, refused, tmp_path):
     """Runs a verb whose work ends with an error."""
 
     def run(work) -> tuple[int, str]:
-        monkeypatch.setattr(acting, "load_plan", lambda _folder: work())
+        monkeypatch.setattr("preimage.storage.plans.load_plan", lambda _folder: work())
         return refused("execute", tmp_path)
 
     return run

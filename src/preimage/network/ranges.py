@@ -16,10 +16,10 @@ def validate(settings: Any, *, at_least: Mapping[str, float] = {}, above_zero: I
     ValueError: batch_size (--batch-size) is 0: give 1 or more
     """
     for name, least in at_least.items():
-        _require(settings, name, lambda value, least=least: value >= least, f"{least} or more")
-        _require(settings, name, lambda value: value <= MOST, f"{MOST} or less")
+        _require(settings, name, lambda value, least=least: value >= least, f"{least:g} or more")
+        _require(settings, name, lambda value: value <= MOST, f"{MOST:g} or less")
     for name in above_zero:
-        _require(settings, name, lambda value: 0 < value <= MOST, f"a number above 0, {MOST} or less")
+        _require(settings, name, lambda value: 0 < value <= MOST, f"a number above 0")
     for name in shares:
         _require(settings, name, lambda value: 0 <= value <= 1, "a share between 0 and 1")
 
