@@ -119,7 +119,7 @@ class PlanOptions(PlanConfig):
     @classmethod
     def regression(cls) -> Self:
         """Network and search without memory."""
-        return cls(search="gauss_newton", guess="nearest", candidates=4, iterations=12, dimensions=32, hold_goal=True)
+        return cls(search="gauss_newton", guess="nearest", candidates=4, iterations=12, dimensions=32, hold_goal=True, earliest_arrival=0)
 
     @classmethod
     def full(cls) -> Self:

@@ -65,15 +65,15 @@ class PlanConfig:
 
     modalities: Modalities = "vision"
     """The modalities of the goal that are used; the rest of a goal percept is not looked at."""
-    candidates: int = 8
+    candidates: int = 6
     """Intentions regressed side by side, each from its own initial guess; the best is the plan's."""
     initial_deviation: float = 0.2
     """Standard deviation of a random initial guess, in those of the training intentions: from the middle all of them are near."""
-    screening: int = 20
+    screening: int = 15
     """Iterations after which only the finalists go on."""
     finalists: int = 2
     """Candidates that go on, those with the least error."""
-    iterations: int = 100
+    iterations: int = 60
     """Iterations at the most."""
     learning_rate: float = 0.1
     """Adam's rate, in standard deviations of the training intentions."""
@@ -83,6 +83,9 @@ class PlanConfig:
     """Directions that are searched, those in which the training intentions differ most; None: all in which they do."""
     horizon: int | None = None
     """Steps imagined, T_max; by default as many as the longest demonstration has."""
+    earliest_arrival: int | None = None
+    """First step at which the goal may be reached; by default the last of the shortest demonstration. Sooner, the picture of an arm that
+    has not moved can be nearer to the goal's than that of one on its way, and a search that begins far off stays there."""
     delay_penalty: float = 1.01
     """Factor a step on the goal error when the arrival step is chosen (section II-D)."""
     precision: Precision = "auto"
@@ -92,7 +95,7 @@ class PlanConfig:
 
     def __post_init__(self) -> None:
         at_least = dict.fromkeys(("candidates", "finalists", "horizon", "dimensions"), 1.0)
-        at_least |= dict.fromkeys(("screening", "iterations", "intention_cost", "search_seed"), 0.0)
+        at_least |= dict.fromkeys(("screening", "iterations", "intention_cost", "search_seed", "earliest_arrival"), 0.0)
         validate(self, at_least=at_least | {"initial_deviation": 0}, above_zero=("learning_rate", "delay_penalty"))
         if self.modalities not in ("vision", "joints", "both"):
             raise ValueError(f"modalities is {self.modalities}: give vision, joints or both")

@@ -60,7 +60,7 @@ def plan(
     terms: Sequence[ErrorTerm] = goal_terms(problem.goal, config.modalities)
     for add in ideas.terms:
         terms = add(problem, terms)
-    objective = ToGoal(problem.start, terms, config.delay_penalty)
+    objective = ToGoal(problem.start, terms, config.delay_penalty, problem.earliest_arrival)
     found = regress(problem, objective, ideas)
     draft = draft_of(found.best, problem, objective)
     for correct in ideas.corrections:

@@ -131,11 +131,13 @@ class ToGoal:
         start: what is observed at the first step.
         terms: what is charged at the goal; their errors are summed.
         delay_penalty: the factor that prefers early steps.
+        earliest: the first step at which the goal may be reached.
     """
 
     start: Sensed
     terms: Sequence[ErrorTerm]
     delay_penalty: float = 1.01
+    earliest: int = 0
 
     def start_error(self, generated: Generated) -> Float[Tensor, " B"]:
         """The start's part: the first predicted percept against the one observed, both modalities."""
@@ -150,7 +152,7 @@ class ToGoal:
     def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
         """The prediction error and the arrival step. The delay penalty picks the step; it does not enter the error."""
         at_every_step = self.goal_error(generated)
-        arrival = arrival_step(at_every_step, delay_penalty=self.delay_penalty)
+        arrival = self.earliest + arrival_step(at_every_step[:, self.earliest :], delay_penalty=self.delay_penalty)
         return self.start_error(generated) + at_every_step.gather(1, arrival[:, None])[:, 0], arrival
 
     def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:

@@ -72,6 +72,12 @@ class Problem:
         """Steps imagined, T_max."""
         return self.config.horizon or int(self.model.longest)
 
+    @property
+    def earliest_arrival(self) -> int:
+        """First step at which the goal may be reached."""
+        asked = self.config.earliest_arrival
+        return min(max(0, int(self.model.shortest) - 1) if asked is None else asked, self.num_steps - 1)
+
     @cached_property
     def space(self) -> IntentionSpace:
         return self.model.intention_table.space(self.config.dimensions)

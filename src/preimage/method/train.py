@@ -142,6 +142,7 @@ def start_from_demonstrations(model: PDVMRNN, sequences: Sequences) -> None:
     model.home_pixels.copy_(pixels[:, 0].mean(0))
     model.home_joints.copy_(sequences.joints[:, 0].mean(0))
     model.longest.fill_(sequences.frames.shape[1])
+    model.shortest.fill_(sequences.lengths.min())
     spread_intentions(model.intention_table, codes.flatten(1))
 
 

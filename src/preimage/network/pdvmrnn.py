@@ -70,6 +70,8 @@ class PDVMRNN(nn.Module):
     """Mean first joint angles of the demonstrations (rad)."""
     longest: Tensor
     """Steps of the longest demonstration: how far ahead is imagined unless something else is asked for."""
+    shortest: Tensor
+    """Steps of the shortest demonstration."""
     intention_table: IntentionTable
 
     def __init__(self, config: ModelConfig, sensors: Sensors, num_sequences: int = 1, seed: int = 0) -> None:
@@ -127,6 +129,7 @@ class PDVMRNN(nn.Module):
         self.register_buffer("home_pixels", torch.zeros(sensors.channels, sensors.height, sensors.width))
         self.register_buffer("home_joints", torch.zeros(sensors.num_joints))
         self.register_buffer("longest", torch.tensor(0.0))
+        self.register_buffer("shortest", torch.tensor(0.0))
 
     @property
     def state_shapes(self) -> dict[str, tuple[int, ...]]:
