@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from changes import apart, learning_nothing
-from preimage.compute.devices import CPU, place_of
-from preimage.compute.processes import Crew
+from preimage.compute.devices import CPU, torch_device
+from preimage.compute.processes import ProcessGroup
 from preimage.method.config import PlanConfig
 from preimage.method.plan import home, problem_of
 from preimage.method.train import train
@@ -20,20 +20,22 @@ needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is n
 
 def test_a_gpu_is_taken_where_there_is_one(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    assert [place_of(device).type for device in ("auto", "cpu", "cuda")] == ["cuda", "cpu", "cuda"]
+    assert [torch_device(device).type for device in ("auto", "cpu", "cuda")] == ["cuda", "cpu", "cuda"]
 
 
 def test_a_gpu_that_is_not_there_is_refused(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert place_of("auto") == CPU
+    assert torch_device("auto") == CPU
     with pytest.raises(ValueError, match="give cpu, or auto"):
-        place_of("cuda")
+        torch_device("cuda")
 
 
 @needs_gpu
 def test_a_gpu_learns_what_a_cpu_learns():
     exact = replace(CONFIG, precision="float32")
-    by_cpu, by_gpu = (train(demonstrations(), ModelConfig.tiny(), config=exact, crew=Crew(device=place_of(d))) for d in ("cpu", "cuda"))
+    by_cpu, by_gpu = (
+        train(demonstrations(), ModelConfig.tiny(), config=exact, group=ProcessGroup(device=torch_device(d))) for d in ("cpu", "cuda")
+    )
     begun = train(demonstrations(), ModelConfig.tiny(), config=learning_nothing(exact))
     assert apart(by_gpu, by_cpu, begun=begun) < 0.01
 

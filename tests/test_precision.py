@@ -6,10 +6,14 @@ import sys
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
 from preimage.compute import precision
 from preimage.compute.devices import CPU
 from preimage.compute.precision import computes_bfloat16, describe_precision, instruction_set, resolve_precision
+from preimage.network.config import ModelConfig, Sensors
+from preimage.network.pdvmrnn import PDVMRNN
 
 
 @pytest.mark.parametrize(("native", "taken"), [(True, "bfloat16"), (False, "float32")])
@@ -55,6 +59,31 @@ def test_on_arm_the_library_decides(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_without_onednn_there_is_float32(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.ops, "mkldnn", object())
     assert not computes_bfloat16(CPU)
+
+
+class Dtypes(TorchDispatchMode):
+    """Notes the types of all tensors that are computed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: set[torch.dtype] = set()
+
+    def __torch_dispatch__(self, operator, types, arguments=(), keywords=None):
+        computed = operator(*arguments, **(keywords or {}))
+        self.seen |= {value.dtype for value in tree_leaves(computed) if isinstance(value, torch.Tensor)}
+        return computed
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_where_the_machine_says_no_nothing_runs_in_bfloat16(monkeypatch: pytest.MonkeyPatch, native: bool) -> None:
+    monkeypatch.setattr(precision, "computes_bfloat16", lambda _device: native)
+    model = PDVMRNN(ModelConfig.tiny(), Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0)))
+    start = torch.zeros(1, 1, 16, 16), torch.full((1, 2, 10), 0.1)
+    with Dtypes() as computed:
+        dtype = getattr(torch, resolve_precision("auto", CPU))
+        generated = model.generate_closed_loop(model.intention_table.prior_mean(1), start, num_steps=2, dtype=dtype)
+        (generated.pixels.sum() + generated.log_codes.sum()).backward()
+    assert (torch.bfloat16 in computed.seen) == native
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from preimage.compute.processes import Crew, ProcessLost, gather
+from preimage.compute.processes import ProcessGroup, ProcessLost, join_processes
 from preimage.data.sequences import sensors_of
 from preimage.evaluation.evaluate import evaluate
 from preimage.method.train import Progress, train
@@ -25,10 +25,10 @@ from test_train import CONFIG, demonstrations, weights
 CASES = {"latent": ModelConfig.tiny(), "free": ModelConfig.tiny().as_paper()}
 
 
-def learned(model_config: ModelConfig, crew: Crew = Crew(), **more: Any) -> torch.Tensor:  # noqa: B008, frozen
+def learned(model_config: ModelConfig, group: ProcessGroup = ProcessGroup(), **more: Any) -> torch.Tensor:  # noqa: B008, frozen
     """What six updates of three sequences make of the network: shares of two processes are uneven."""
     exact = replace(CONFIG, batch_size=3, precision="float64")
-    return weights(train(demonstrations(), model_config, config=exact, crew=crew, **more))
+    return weights(train(demonstrations(), model_config, config=exact, group=group, **more))
 
 
 def interrupt_at_3(progress: Progress) -> None:
@@ -36,19 +36,19 @@ def interrupt_at_3(progress: Progress) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
 
-def stopped(model_config: ModelConfig, crew: Crew, folder: Path) -> None:
+def stopped(model_config: ModelConfig, group: ProcessGroup, folder: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        learned(model_config, crew, folder=folder, progress=interrupt_at_3)
+        learned(model_config, group, folder=folder, progress=interrupt_at_3)
 
 
-def planned(crew: Crew = Crew()) -> list[float]:  # noqa: B008, frozen
+def planned(group: ProcessGroup = ProcessGroup()) -> list[float]:  # noqa: B008, frozen
     """The errors of the plans to three goals, of which two processes have shares of two and one."""
     task = TASKS["reach"]
     seen = record(Arm(), task, count=1, seed=0)
     model = PDVMRNN(ModelConfig.tiny(), sensors_of(seen)).requires_grad_(False)
     shown = [Shown(one.last.frame, one.joints, one.rate_hz) for one in seen]
     planner = Planner(model, None, PlanOptions(iterations=1, horizon=3))
-    return [one.plan.error for one in evaluate(planner, Arm(), task, goals=3, seed=1, shown=shown, crew=crew)]
+    return [one.plan.error for one in evaluate(planner, Arm(), task, goals=3, seed=1, shown=shown, group=group)]
 
 
 def work(rank: int, folder: Path) -> None:
@@ -56,21 +56,21 @@ def work(rank: int, folder: Path) -> None:
     torch.set_default_dtype(torch.float64)
     torch.set_num_threads(1)
     torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/meet", rank=rank, world_size=2)
-    crew, seen = Crew(rank, 2), {}
+    group, seen = ProcessGroup(rank, 2), {}
     for name, model_config in CASES.items():
-        seen[f"{name} together"] = learned(model_config, crew, folder=folder / name)
-    seen["planned together"] = planned(crew)
+        seen[f"{name} together"] = learned(model_config, group, folder=folder / name)
+    seen["planned together"] = planned(group)
     case = CASES["latent"]
-    stopped(case, crew, folder / "two-then-one")
-    if crew.first:
-        stopped(case, Crew(), folder / "one-then-two")
+    stopped(case, group, folder / "two-then-one")
+    if group.first:
+        stopped(case, ProcessGroup(), folder / "one-then-two")
         seen["planned alone"] = planned()
         seen["two then one"] = learned(case, folder=folder / "two-then-one", resume=True)
         seen |= {f"{name} alone": learned(model_config) for name, model_config in CASES.items()}
-    seen["one then two"] = learned(case, crew, folder=folder / "one-then-two", resume=True)
-    if crew.first:
+    seen["one then two"] = learned(case, group, folder=folder / "one-then-two", resume=True)
+    if group.first:
         with pytest.raises(ProcessLost, match="another process of this training has stopped"):
-            learned(case, crew)
+            learned(case, group)
         seen["left alone"] = True
     torch.save(seen, folder / f"{rank}.pt")
     os._exit(0)  # without the way out of Python: threads of a broken connection may abort a process there
@@ -114,27 +114,27 @@ def test_a_process_that_is_left_alone_says_so(seen):
 
 @pytest.mark.parametrize(("count", "size"), [(10, 1), (10, 3), (2, 2)])
 def test_the_shares_are_all_sequences_each_once(count, size):
-    shares = [Crew(rank, size).share(count) for rank in range(size)]
+    shares = [ProcessGroup(rank, size).share(count) for rank in range(size)]
     assert sorted(torch.cat(shares).tolist()) == list(range(count))
     assert max(map(len, shares)) - min(map(len, shares)) <= 1
 
 
 def test_more_processes_than_sequences_are_refused():
     with pytest.raises(ValueError, match="5 processes cannot share an update of 4 sequences"):
-        train(demonstrations(4), ModelConfig.tiny(), config=replace(CONFIG, batch_size=9), crew=Crew(0, 5))
+        train(demonstrations(4), ModelConfig.tiny(), config=replace(CONFIG, batch_size=9), group=ProcessGroup(0, 5))
 
 
 @pytest.mark.parametrize("devices", [0, -1])
 def test_less_than_one_process_is_refused(devices):
     with pytest.raises(ValueError, match="give 1 or more"):
-        gather(devices=devices, num_nodes=1)
+        join_processes(devices=devices, num_nodes=1)
 
 
 def test_one_process_is_alone_without_any_library(monkeypatch):
     monkeypatch.setitem(sys.modules, "lightning_fabric", None)
-    assert gather(devices=1, num_nodes=1, device="cpu") == Crew()
+    assert join_processes(devices=1, num_nodes=1, device="cpu") == ProcessGroup()
     with pytest.raises(ValueError, match=r"pip install 'preimage\[many\]'"):
-        gather(devices=2, num_nodes=1)
+        join_processes(devices=2, num_nodes=1)
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from preimage.network.ranges import validate
 if TYPE_CHECKING:
     import torch
 
-    from preimage.compute.processes import Crew
+    from preimage.compute.processes import ProcessGroup
     from preimage.ideas.memory import DemonstrationMemory
     from preimage.ideas.test_time_augmentation import TestTimeAugmentation
     from preimage.method.one_step import Policy
@@ -293,7 +293,7 @@ def train(
     *,
     config: TrainOptions | None = None,
     folder: Path | str | None = None,
-    group: "Crew | None" = None,
+    group: "ProcessGroup | None" = None,
     **more: Any,
 ) -> "PDVMRNN":
     """Learn weights and intentions that regenerate the demonstrations (`method.train.train`); their memory is kept in the run folder.
@@ -302,11 +302,11 @@ def train(
         config: how the network learns, with the ideas beyond the paper.
         more: as `method.train.train` takes it.
     """
-    from preimage.compute.processes import Crew
+    from preimage.compute.processes import ProcessGroup
     from preimage.method.train import train as train_by_the_paper
     from preimage.storage.runs import load_model, write_tensors
 
-    config, group = config or TrainOptions(), group or Crew()
+    config, group = config or TrainOptions(), group or ProcessGroup()
 
     def keep_memory(model: "PDVMRNN") -> None:
         if folder is not None and group.first:
@@ -314,7 +314,7 @@ def train(
 
     try:
         model = train_by_the_paper(
-            demonstrations, model_config, config=config, folder=folder, augmentations=config.augmentations(), crew=group, **more
+            demonstrations, model_config, config=config, folder=folder, augmentations=config.augmentations(), group=group, **more
         )
     except KeyboardInterrupt:
         if folder is not None:

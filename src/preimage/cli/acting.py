@@ -87,7 +87,7 @@ def plan_(
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
         config: how the plan is searched for.
     """
-    from preimage.compute.devices import place_of
+    from preimage.compute.devices import torch_device
     from preimage.compute.threads import choose_threads
     from preimage.data.sources import find_percept
     from preimage.ideas.waypoints import join
@@ -100,7 +100,7 @@ def plan_(
     validate_rate(rate_hz)
     validate_output_folder(out, PLAN, overwrite=overwrite)
     folder = find_run(run)  # once, so that all parts of a run on the Hub are of one revision
-    planner = load_planner(folder, config, device=place_of(device))
+    planner = load_planner(folder, config, device=torch_device(device))
     view, body, shown = read_view(folder), read_body(folder), read_shown(folder)
     model = planner.model
     limits = limits_seen(model.sensors, shown, unit=body.joint_unit)

@@ -137,7 +137,7 @@ def train_(
         as_: paper is the paper's network and learning alone; regression and full begin with a latent intention.
         config: how the network learns.
     """
-    from preimage.compute.processes import gather
+    from preimage.compute.processes import join_processes
     from preimage.data.dataset import fingerprint, open_recordings
     from preimage.evaluation.held_out import every_nth
     from preimage.examination import validate
@@ -170,10 +170,10 @@ def train_(
     held_out = learned_from.get("held_out", [])
     demonstrations = [one for episode, one in zip(opened.episodes, recorded, strict=True) if episode not in held_out]
     about = {"size": size, "preset": as_, "num_demonstrations": len(demonstrations), "data": learned_from}
-    crew = gather(devices=devices, num_nodes=num_nodes, device=device)
+    group = join_processes(devices=devices, num_nodes=num_nodes, device=device)
     about |= {"view": asdict(opened.view), "body": asdict(opened.body)}
-    about |= {"task": task_of(demonstrations) or opened.task, "provenance": provenance(crew.device)}
-    with bar(shown=crew.first) as progress:
+    about |= {"task": task_of(demonstrations) or opened.task, "provenance": provenance(group.device)}
+    with bar(shown=group.first) as progress:
         shown = progress.add_task("training", total=config.updates)
 
         def tell(told: Told) -> None:
@@ -182,8 +182,8 @@ def train_(
             errors = f"training  vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}"
             progress.update(shown, completed=told.update, description=errors)
 
-        train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell, group=crew)
-    if not crew.first:
+        train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell, group=group)
+    if not group.first:
         return
     for line in lines:  # of a run that had all its updates
         print(line)

@@ -59,7 +59,7 @@ def evaluate_(
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
         config: how the plans are searched for.
     """
-    from preimage.compute.processes import gather
+    from preimage.compute.processes import join_processes
     from preimage.compute.threads import choose_threads
     from preimage.evaluation.evaluate import Evaluated, evaluate, result_of
     from preimage.evaluation.recipes import paper_of
@@ -78,18 +78,18 @@ def evaluate_(
     if data is not None:
         which = {"only": episodes, "without": without_episodes}
         return compare_with(data, run, out, films, config, device, devices, **which)
-    crew = gather(devices=devices, num_nodes=1, device=device)
+    group = join_processes(devices=devices, num_nodes=1, device=device)
     folder = find_run(run)
-    planner, learned_from, made = load_planner(folder, config, device=crew.device), read_shown(folder), made_from(folder)
+    planner, learned_from, made = load_planner(folder, config, device=group.device), read_shown(folder), made_from(folder)
     about = {"task": task, "model": run, "preset": as_} | made
     pixels = planner.model.sensors.height
     filmed = with_frames(TASKS[task], pixels)
     about |= {"seed": seed, "loop": loop, "pixels": pixels, "paper": paper_of(task, made["num_demonstrations"], loop)}
-    about |= {"plan": asdict(config), "provenance": provenance(crew.device)}
-    mine = len(crew.share(goals))
-    if crew.size == 1:
+    about |= {"plan": asdict(config), "provenance": provenance(group.device)}
+    mine = len(group.share(goals))
+    if group.size == 1:
         remark(choose_threads())
-    with bar(shown=crew.first) as progress:
+    with bar(shown=group.first) as progress:
         shown = progress.add_task("evaluating", total=mine)
         reached: list[bool] = []
 
@@ -97,11 +97,11 @@ def evaluate_(
             reached.append(one.trial.success)
             so_far = f"evaluating  {sum(reached)}/{len(reached)} reached"
             progress.update(shown, completed=len(reached), description=so_far)
-            if crew.first and not console.is_terminal and len(reached) % 10 == 0:
+            if group.first and not console.is_terminal and len(reached) % 10 == 0:
                 print(f"{so_far}, {mine - len(reached)} goals left", file=sys.stderr, flush=True)
 
-        evaluated = evaluate(planner, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, loop=loop, progress=tell, crew=crew)
-    if not crew.first:
+        evaluated = evaluate(planner, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, loop=loop, progress=tell, group=group)
+    if not group.first:
         return
     result = result_of(evaluated, about)
     write_json(out, result)
@@ -114,21 +114,21 @@ def compare_with(
     data: Path, run: str, out: Path, films: Path | None, options: PlanOptions, device: Device, devices: int, **which: Any
 ) -> None:
     """The part of `evaluate` that needs no simulator."""
-    from preimage.compute.processes import gather
+    from preimage.compute.processes import join_processes
     from preimage.compute.threads import choose_threads
     from preimage.evaluation.held_out import compare_run
 
-    crew = gather(devices=devices, num_nodes=1, device=device)
-    if crew.size == 1:
+    group = join_processes(devices=devices, num_nodes=1, device=device)
+    if group.size == 1:
         remark(choose_threads())
-    with bar(shown=crew.first) as progress:
+    with bar(shown=group.first) as progress:
         shown = progress.add_task("planning", total=None)
 
         def tell(done: int, of_all: int) -> None:
             progress.update(shown, completed=done, total=of_all)
 
-        lines = compare_run(run, data, out=out, film_folder=films, options=options, progress=tell, crew=crew, **which)
-    if crew.first:
+        lines = compare_run(run, data, out=out, film_folder=films, options=options, progress=tell, group=group, **which)
+    if group.first:
         print("\n".join(lines))
 
 
@@ -152,7 +152,7 @@ def reproduce_(
         work: folder for demonstrations and runs.
         out: folder for a JSON file a cell.
     """
-    from preimage.compute.devices import place_of
+    from preimage.compute.devices import torch_device
     from preimage.evaluation.experiments import reproduce
     from preimage.evaluation.recipes import cells_of
     from preimage.method.train import Progress as Told
@@ -169,7 +169,7 @@ def reproduce_(
                 print(text, file=sys.stderr, flush=True)
 
         chosen = [cell for cell in cells_of(table, size) if cell.seed < seeds and cell.num_demonstrations in demonstrations]
-        reproduce(chosen, place=place_of(device), work=work, out=out, tell=tell, progress=learn)
+        reproduce(chosen, place=torch_device(device), work=work, out=out, tell=tell, progress=learn)
     print(f"{len(chosen)} cells are in {out}; `preimage report` makes the page of them")
 
 
@@ -196,12 +196,12 @@ def bench_(out: Path = Path("results/bench.json"), device: Device = "cpu", quick
         device: what to measure.
         quick: a minute instead of five, without the paper's size and the growth of planning time.
     """
-    from preimage.compute.devices import place_of
+    from preimage.compute.devices import torch_device
     from preimage.evaluation.bench import bench
     from preimage.storage.provenance import provenance
 
     validate_output_file(out, **BENCH)
-    place = place_of(device)
+    place = torch_device(device)
     write_json(out, bench(place, quick=quick) | {"provenance": provenance(place)})
     print(f"wrote {out}; `preimage report` draws it")
 

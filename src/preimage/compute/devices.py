@@ -14,7 +14,7 @@ from preimage.compute.choices import Device
 CPU = torch.device("cpu")
 
 
-def place_of(device: Device) -> torch.device:
+def torch_device(device: Device) -> torch.device:
     """The device of that name.
 
     Raises:

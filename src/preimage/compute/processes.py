@@ -2,7 +2,7 @@
 
 What an update draws is drawn for all of its sequences in every process, so that it does not matter how many share them.
 
->>> Crew(rank=1, size=3).share(7)
+>>> ProcessGroup(rank=1, size=3).share(7)
 tensor([1, 4])
 """
 
@@ -18,17 +18,17 @@ from jaxtyping import Int
 from torch import Tensor, distributed, nn
 
 from preimage.compute.choices import Device
-from preimage.compute.devices import CPU, place_of
+from preimage.compute.devices import CPU, torch_device
 
 Told = TypeVar("Told")
 
 
 class ProcessLost(RuntimeError):
-    """Another process of the crew has stopped, so that its share of the work is missing."""
+    """Another process of the group has stopped, so that its share of the work is missing."""
 
 
 @dataclass(frozen=True)
-class Crew:
+class ProcessGroup:
     """One of the processes that train together; by itself the only one."""
 
     rank: int = 0
@@ -41,7 +41,7 @@ class Crew:
         """Whether this process is the one that writes and tells."""
         return self.rank == 0
 
-    def refuse_fewer(self, count: int) -> None:
+    def validate_share(self, count: int) -> None:
         """Raises ValueError where an update of `count` sequences would leave a process without one."""
         if count < self.size:
             raise ValueError(
@@ -59,7 +59,7 @@ class Crew:
             ProcessLost: another process is no longer there.
         """
         if self.size > 1:
-            with lost_is_told():
+            with lost_processes_raise():
                 distributed.all_reduce(values)
         return values
 
@@ -76,7 +76,7 @@ class Crew:
         """Whether it is so in any process: all get the same answer, where each by itself would see a Ctrl-C at another update."""
         return bool(self.add(torch.tensor(float(here), device=self.device)) > 0)
 
-    def of_first(self, told: Told) -> Told:
+    def broadcast(self, told: Told) -> Told:
         """What the first process has.
 
         Raises:
@@ -84,11 +84,11 @@ class Crew:
         """
         box = [told]
         if self.size > 1:
-            with lost_is_told():
+            with lost_processes_raise():
                 distributed.broadcast_object_list(box, device=self.device)
         return box[0]
 
-    def together(self, told: Mapping[int, Told]) -> list[Told]:
+    def gather(self, told: Mapping[int, Told]) -> list[Told]:
         """What all processes have, each under numbers of its own, in the order of the numbers.
 
         Raises:
@@ -96,14 +96,14 @@ class Crew:
         """
         of_each = [told] * self.size
         if self.size > 1:
-            with lost_is_told():
+            with lost_processes_raise():
                 distributed.all_gather_object(of_each, told)
         of_all = {number: one for some in of_each for number, one in some.items()}
         return [of_all[number] for number in sorted(of_all)]
 
 
 @contextlib.contextmanager
-def lost_is_told() -> Iterator[None]:
+def lost_processes_raise() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:  # all that torch raises where the other side of a connection is gone
@@ -111,7 +111,7 @@ def lost_is_told() -> Iterator[None]:
         raise ProcessLost(text) from error.with_traceback(None)  # whose frames may hold the connection past its end
 
 
-def gather(*, devices: int, num_nodes: int, device: Device = "auto") -> Crew:
+def join_processes(*, devices: int, num_nodes: int, device: Device = "auto") -> ProcessGroup:
     """Start the other processes with the words of this one, unless torchrun or Slurm has, and join them.
 
     Args:
@@ -125,7 +125,7 @@ def gather(*, devices: int, num_nodes: int, device: Device = "auto") -> Crew:
     if min(devices, num_nodes) < 1:
         raise ValueError(f"--devices is {devices} and --num-nodes {num_nodes}: give 1 or more")
     if devices * num_nodes == 1 and not distributed.is_torchelastic_launched():
-        return Crew(device=place_of(device))
+        return ProcessGroup(device=torch_device(device))
     try:
         from lightning_fabric import Fabric  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -143,4 +143,4 @@ def gather(*, devices: int, num_nodes: int, device: Device = "auto") -> Crew:
         text = f"other processes were started than --devices {devices} and --num-nodes {num_nodes} say ({reason}): give both as they are"
         raise ValueError(text) from error
     atexit.register(distributed.destroy_process_group)  # or its threads abort a process that ends while they run
-    return Crew(fabric.global_rank, fabric.world_size, fabric.device)
+    return ProcessGroup(fabric.global_rank, fabric.world_size, fabric.device)

@@ -21,7 +21,7 @@ from preimage import fast
 from preimage.compute.devices import CPU, chip_of
 from preimage.compute.freed_memory import keep_freed_memory
 from preimage.compute.precision import Resolved, computes_bfloat16, describe_precision, instruction_set, resolve_precision
-from preimage.compute.processes import Crew
+from preimage.compute.processes import ProcessGroup
 from preimage.data.sequences import Sequences
 from preimage.method.config import PlanConfig, TrainConfig
 from preimage.method.plan import plan
@@ -243,7 +243,7 @@ def whole_training(demonstrations: list[Demonstration], device: torch.device, pr
     def note(done: Progress) -> None:
         seconds.append(done.seconds)
 
-    train(demonstrations, read_settings(ModelConfig, folder, "model"), config=stretch, progress=note, crew=Crew(device=device))
+    train(demonstrations, read_settings(ModelConfig, folder, "model"), config=stretch, progress=note, group=ProcessGroup(device=device))
     an_update = float(np.median(seconds[1:]))
     minutes = round(settings.updates * an_update / 60, 1)
     report(f"a whole training of {TASK}: {minutes} minutes, extrapolated from {TIMED_UPDATES} of its {settings.updates} updates")

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from preimage.compute.processes import Crew
+from preimage.compute.processes import ProcessGroup
 from preimage.data.sequences import at_rate
 from preimage.evaluation.loops import Loop
 from preimage.method.config import Modalities
@@ -88,7 +88,7 @@ def evaluate(
     loop: Loop = "closed",
     policies: Policies | None = None,
     progress: Callable[[Evaluated], None] | None = None,
-    crew: Crew = Crew(),  # noqa: B008, frozen
+    group: ProcessGroup = ProcessGroup(),  # noqa: B008, frozen
 ) -> list[Evaluated]:
     """Plan to goals that a tutor reached, execute in physics and judge.
 
@@ -98,13 +98,13 @@ def evaluate(
         shown: the demonstrations the model was trained on, for the baseline that replays one of them.
         policies: more baselines, by name.
         progress: called after each goal of this process.
-        crew: the processes that share the goals; each gets what all have found.
+        group: the processes that share the goals; each gets what all have found.
 
     Raises:
-        ProcessLost: another process of the crew is no longer there.
+        ProcessLost: another process of the group is no longer there.
     """
     recorded, evaluated = record(arm, task, count=goals, seed=seed), dict[int, Evaluated]()
-    for goal in crew.share(goals).tolist():
+    for goal in group.share(goals).tolist():
         demonstration = recorded[goal]
         found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner.options.modalities))
         trial = carry_out(planner, found, arm, task, demonstration, loop)
@@ -112,7 +112,7 @@ def evaluate(
         evaluated[goal] = Evaluated(demonstration, found, trial, baselines)
         if progress:
             progress(evaluated[goal])
-    return crew.together(evaluated)
+    return group.gather(evaluated)
 
 
 def carry_out(planner: Planner, found: Plan, arm: Arm, task: Task, demonstration: Demonstration, loop: Loop) -> Trial:

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from preimage.compute.devices import CPU
-from preimage.compute.processes import Crew
+from preimage.compute.processes import ProcessGroup
 from preimage.data.dataset import fingerprint, load, save
 from preimage.evaluation.behaviour_cloning import clone
 from preimage.evaluation.evaluate import evaluate, result_of
@@ -108,7 +108,7 @@ def planner_of(
         "data": {"name": cell.data, "fingerprint": fingerprint(demonstrations)},
         "provenance": provenance(place),
     }
-    group = Crew(device=place)
+    group = ProcessGroup(device=place)
     train(demonstrations, network, config=config, folder=run, resume=run.exists(), about=about, progress=progress, group=group)
     write_card(run)
     return load_planner(run, options, device=place)

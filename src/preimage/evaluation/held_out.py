@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
-from preimage.compute.processes import Crew
+from preimage.compute.processes import ProcessGroup
 from preimage.data.dataset import fingerprint, open_recordings
 from preimage.data.sequences import at_rate
 from preimage.evaluation.evaluate import goal_of, nearest_shown
@@ -104,7 +104,7 @@ def compare(
     *,
     shown: Sequence[Shown],
     progress: Callable[[Compared], None] | None = None,
-    crew: Crew = Crew(),  # noqa: B008, frozen
+    group: ProcessGroup = ProcessGroup(),  # noqa: B008, frozen
 ) -> list[Compared]:
     """Plan from the first percept to the last frame of each recording, and compare.
 
@@ -112,18 +112,18 @@ def compare(
         demonstrations: the recordings, by number of the episode.
         shown: the demonstrations the model was trained on, for the baseline that repeats one of them.
         progress: called after each episode of this process.
-        crew: the processes that share the episodes; each gets what all have found.
+        group: the processes that share the episodes; each gets what all have found.
 
     Raises:
         ValueError: the recordings have other joints or frames than the model's.
-        ProcessLost: another process of the crew is no longer there.
+        ProcessLost: another process of the group is no longer there.
     """
     model = planner.model
     for episode, one in demonstrations.items():
         if one.joint_names != model.sensors.joint_names:
             raise ValueError(f"episode {episode} has joints {one.joint_names}, the model was trained with {model.sensors.joint_names}")
     compared, episodes = dict[int, Compared](), list(demonstrations)
-    for episode in (episodes[number] for number in crew.share(len(episodes))):
+    for episode in (episodes[number] for number in group.share(len(episodes))):
         one = demonstrations[episode]
         found = planner.plan(start=one.first, goal=goal_of(one, planner.options.modalities))
         baselines = {name: errors_of(one, way) for name, way in baselines_of(planner, one, found, shown).items()}
@@ -131,7 +131,7 @@ def compare(
         compared[episode] = Compared(episode, one, found, errors_of(one, way_of(found)), by_joint, baselines)
         if progress:
             progress(compared[episode])
-    return crew.together(compared)
+    return group.gather(compared)
 
 
 def compare_run(
@@ -142,7 +142,7 @@ def compare_run(
     film_folder: Path | None,
     options: PlanOptions,
     progress: Callable[[int, int], None],
-    crew: Crew = Crew(),  # noqa: B008, frozen
+    group: ProcessGroup = ProcessGroup(),  # noqa: B008, frozen
     only: Collection[int] | None = None,
     without: Collection[int] = (),
 ) -> list[str]:
@@ -152,7 +152,7 @@ def compare_run(
         only: numbers of the episodes to compare with; by default all, of the data set that was trained on those the run was given.
         without: numbers of episodes to leave out.
         progress: called after each episode of this process with the number done and the number of its own.
-        crew: the processes that share the episodes, of which only the first writes.
+        group: the processes that share the episodes, of which only the first writes.
 
     Returns:
         what there is to say, line by line.
@@ -161,7 +161,7 @@ def compare_run(
         ValueError: there is no such run or data set, they do not fit together, or every episode was trained on.
     """
     folder = find_run(run)
-    planner, shown = load_planner(folder, options, device=crew.device), read_shown(folder)
+    planner, shown = load_planner(folder, options, device=group.device), read_shown(folder)
     if only is None and (read_config(folder).get("data") or {}).get("name") == data.name:
         only = episodes_of(folder)
     opened = open_recordings(data, view=read_view(folder), only=only, without=without)
@@ -173,14 +173,14 @@ def compare_run(
 
     def tell(one: Compared) -> None:
         done.append(one)
-        progress(len(done), len(crew.share(len(episodes))))
+        progress(len(done), len(group.share(len(episodes))))
 
     chosen = {episode: recorded[episode] for episode in episodes}
-    compared = compare(planner, chosen, shown=shown, progress=tell, crew=crew)
+    compared = compare(planner, chosen, shown=shown, progress=tell, group=group)
     result = result_of_comparison(
-        compared, about_run(run, folder, data, opened.demonstrations) | {"plan": asdict(options), "provenance": provenance(crew.device)}
+        compared, about_run(run, folder, data, opened.demonstrations) | {"plan": asdict(options), "provenance": provenance(group.device)}
     )
-    if not crew.first:
+    if not group.first:
         return []
     write_json(out, result)
     written = write_films(compared, film_folder) if film_folder else []

@@ -22,7 +22,7 @@ from preimage.compute.devices import recorded_with_gradients
 from preimage.compute.freed_memory import keep_freed_memory
 from preimage.compute.interrupts import saved_on_interrupt
 from preimage.compute.precision import resolve_precision
-from preimage.compute.processes import Crew
+from preimage.compute.processes import ProcessGroup
 from preimage.data.sequences import Sequences, pad, sensors_of
 from preimage.method.config import TrainConfig
 from preimage.method.prediction_error import SequenceError, sequence_error
@@ -83,7 +83,7 @@ def train(
     about: dict[str, Any] | None = None,
     progress: Callable[[Progress], None] | None = None,
     augmentations: Sequence[Augmentation] = (),
-    crew: Crew = Crew(),  # noqa: B008, frozen
+    group: ProcessGroup = ProcessGroup(),  # noqa: B008, frozen
 ) -> PDVMRNN:
     """Learn weights and intentions that regenerate the demonstrations.
 
@@ -94,16 +94,16 @@ def train(
         about: more to write into the run's config.json.
         progress: called after every update.
         augmentations: what is made of every batch before it is generated; by the paper nothing.
-        crew: the processes that train together, of which only the first writes and tells.
+        group: the processes that train together, of which only the first writes and tells.
 
     Returns:
         the trained network, its weights frozen.
 
     Raises:
-        ValueError: the demonstrations do not fit together or are too few for the crew, the folder holds a run already or none to resume,
+        ValueError: the demonstrations do not fit together or are too few for the group, the folder holds a run already or none to resume,
             or is to be resumed and there is none.
         NonFinite: an error or a gradient is no longer finite.
-        ProcessLost: another process of the crew is no longer there.
+        ProcessLost: another process of the group is no longer there.
         KeyboardInterrupt: the training was interrupted; the last update is saved.
     """
     model_config, config = model_config or ModelConfig.small(), config or TrainConfig()
@@ -112,24 +112,24 @@ def train(
     model_config = replace(model_config, rate_hz=min([model_config.rate_hz, *(one.rate_hz for one in demonstrations)]))
     sequences = pad(demonstrations, rate_hz=model_config.rate_hz, rest_steps=config.rest_steps)
     model = PDVMRNN(model_config, sensors_of(demonstrations), len(sequences), config.seed)
-    crew.refuse_fewer(min(config.batch_size, len(sequences)))
+    group.validate_share(min(config.batch_size, len(sequences)))
     start_from_demonstrations(model, sequences)
-    learner = Learner(model.to(crew.device), optimiser_of(model, config), augmentations=augmentations)
+    learner = Learner(model.to(group.device), optimiser_of(model, config), augmentations=augmentations)
     keep_freed_memory()
     kept = {"settings": asdict(config), "about": about or {}, "resume": resume}
-    opened = open_run(Path(folder), learner, demonstrations, **kept) if folder is not None and crew.first else nullcontext()
+    opened = open_run(Path(folder), learner, demonstrations, **kept) if folder is not None and group.first else nullcontext()
     with opened as run, saved_on_interrupt() as interrupted:
-        if crew.size > 1:  # a checkpoint may lie where the others cannot see it, and another machine may round otherwise
-            learner.load(crew.of_first(learner.state()))
+        if group.size > 1:  # a checkpoint may lie where the others cannot see it, and another machine may round otherwise
+            learner.load(group.broadcast(learner.state()))
         stop = False
         while learner.update < config.updates and not stop:
-            told = one_update(learner, sequences, config, run, crew)
-            if progress and crew.first:
+            told = one_update(learner, sequences, config, run, group)
+            if progress and group.first:
                 progress(told)
-            stop = crew.any(interrupted())
+            stop = group.any(interrupted())
             if run and (learner.update % config.checkpoint_every == 0 or learner.update == config.updates or stop):
                 save_checkpoint(run, learner)
-        crew.any(stop)  # all wait until the last checkpoint is written
+        group.any(stop)  # all wait until the last checkpoint is written
     if stop:
         raise KeyboardInterrupt
     return model.requires_grad_(False).eval()
@@ -192,7 +192,7 @@ def shuffled(count: int, seed: int, epoch: int) -> Tensor:
     return torch.randperm(count, generator=torch.Generator().manual_seed(seed * 1_000_003 + epoch))
 
 
-def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run: Path | None, crew: Crew) -> Progress:
+def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run: Path | None, group: ProcessGroup) -> Progress:
     """One step of Adam on one batch, of which this process generates its share."""
     began = time.perf_counter()
     model, optimiser = learner.model, learner.optimiser
@@ -203,14 +203,14 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     drawn, charges = model.intention_table.draw(batch.rows.flatten(), generator)
     intention = torch.einsum("bpd,bp->bd", drawn.flatten().unflatten(0, batch.rows.shape), batch.weights.to(charges))
     charge = charges.view_as(batch.rows)[:, 0]
-    mine = crew.share(len(batch.rows))
+    mine = group.share(len(batch.rows))
     error = error_of(learner, intention[mine], batch[mine], config)
-    for group in optimiser.param_groups:
-        group["lr"] = group["peak"] * share_of_rate(learner.update, config)
+    for parameters in optimiser.param_groups:
+        parameters["lr"] = parameters["peak"] * share_of_rate(learner.update, config)
     optimiser.zero_grad()
     ((error.total + model.config.intention_cost * charge[mine]).sum() / len(batch.rows)).backward()
-    crew.add_gradients(model.parameters())
-    error = error_of_all(error, mine, len(batch.rows), crew)
+    group.add_gradients(model.parameters())
+    error = error_of_all(error, mine, len(batch.rows), group)
     norm = nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], config.gradient_norm)
     refuse_non_finite(learner, error, charge, norm, run)
     optimiser.step()
@@ -265,10 +265,10 @@ class BatchError(nn.Module):
         return torch.where(blurred, coarse.visual, error.visual), error.proprioceptive
 
 
-def error_of_all(error: SequenceError, mine: Int[Tensor, " S"], count: int, crew: Crew) -> SequenceError:
+def error_of_all(error: SequenceError, mine: Int[Tensor, " S"], count: int, group: ProcessGroup) -> SequenceError:
     """The errors of all sequences of an update, of which this process knows its own."""
     own = torch.stack([error.visual, error.proprioceptive]).detach()
-    return SequenceError(*crew.add(own.new_zeros(2, count).index_copy_(1, mine.to(own.device), own)))
+    return SequenceError(*group.add(own.new_zeros(2, count).index_copy_(1, mine.to(own.device), own)))
 
 
 def refuse_non_finite(learner: Learner, error: SequenceError, charge: Tensor, norm: Tensor, run: Path | None) -> None:

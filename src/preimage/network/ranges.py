@@ -19,7 +19,7 @@ def validate(settings: Any, *, at_least: Mapping[str, float] = {}, above_zero: I
         _require(settings, name, lambda value, least=least: value >= least, f"{least:g} or more")
         _require(settings, name, lambda value: value <= MOST, f"{MOST:g} or less")
     for name in above_zero:
-        _require(settings, name, lambda value: 0 < value <= MOST, f"a number above 0")
+        _require(settings, name, lambda value: 0 < value <= MOST, "a number above 0")
     for name in shares:
         _require(settings, name, lambda value: 0 <= value <= 1, "a share between 0 and 1")
 
