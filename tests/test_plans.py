@@ -197,7 +197,7 @@ DAMAGES = {
     "goal of other joints": lambda folder: arrays(folder, goal_joints=np.zeros(3)),
     "errors not finite": lambda folder: arrays(folder, errors=np.array([np.nan])),
     "intention not finite": lambda folder: arrays(folder, intention=np.array([np.inf])),
-    "recalled of other joints": lambda folder: arrays(folder, recalled=np.zeros((1, 3))),
+    "expected joints of other joints": lambda folder: arrays(folder, expected_joints=np.zeros((1, 3))),
     "frames of numbers": lambda folder: arrays(folder, frames=np.zeros((5, 8, 6, 1))),
     "frames flat": lambda folder: arrays(folder, frames=np.zeros((5, 48), np.uint8)),
     "no frames": lambda folder: arrays(folder, frames=np.zeros((0, 8, 6, 1), np.uint8), joints=np.zeros((0, 2))),

@@ -47,7 +47,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         at_least = {"updates": 1, "batch_size": 1, "warmup_updates": 1, "checkpoint_every": 1, "rest_steps": 0, "seed": 0}
         rates = "learning_rate", "intention_learning_rate", "gradient_norm"
-        validate(self, at_least=at_least, above_zero=rates, shares=("final_share",))
+        validate(self, at_least=at_least, held=("batch_size", "rest_steps"), above_zero=rates, shares=("final_share",))
 
     @classmethod
     def paper(cls) -> Self:
@@ -96,7 +96,12 @@ class PlanConfig:
     def __post_init__(self) -> None:
         at_least = dict.fromkeys(("candidates", "finalists", "horizon", "dimensions"), 1.0)
         at_least |= dict.fromkeys(("screening", "iterations", "intention_cost", "search_seed", "earliest_arrival"), 0.0)
-        validate(self, at_least=at_least | {"initial_deviation": 0}, above_zero=("learning_rate", "delay_penalty"))
+        validate(
+            self,
+            at_least=at_least | {"initial_deviation": 0},
+            held=("candidates", "horizon", "dimensions"),
+            above_zero=("learning_rate", "delay_penalty"),
+        )
         if self.modalities not in ("vision", "joints", "both"):
             raise ValueError(f"modalities is {self.modalities}: give vision, joints or both")
 

@@ -61,12 +61,12 @@ class Learner:
 
 @dataclass(frozen=True)
 class Progress:
-    """What a watcher of the training is told after each update."""
+    """What there is to report after each update."""
 
     update: int
     updates: int
     visual: float
-    """Squared error of a frame, summed over pixels, mean of the demonstrations of the batch, its blends aside."""
+    """Squared error of a frame, summed over pixels, mean of the demonstrations of the batch, weighted sums of several aside."""
     proprioceptive: float
     """KL of the joint codes, summed over joints, likewise (nats)."""
     seconds: float = field(compare=False)
@@ -94,7 +94,7 @@ def train(
         about: more to write into the run's config.json.
         progress: called after every update.
         augmentations: what is made of every batch before it is generated; by the paper nothing.
-        group: the processes that train together, of which only the first writes and tells.
+        group: the processes that train together, of which only the first writes and reports.
 
     Returns:
         the trained network, its weights frozen.
@@ -123,9 +123,9 @@ def train(
             learner.load(group.broadcast(learner.state()))
         stop = False
         while learner.update < config.updates and not stop:
-            told = one_update(learner, sequences, config, run, group)
+            done = one_update(learner, sequences, config, run, group)
             if progress and group.first:
-                progress(told)
+                progress(done)
             stop = group.any(interrupted())
             if run and (learner.update % config.checkpoint_every == 0 or learner.update == config.updates or stop):
                 save_checkpoint(run, learner)
@@ -212,14 +212,14 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     group.add_gradients(model.parameters())
     error = error_of_all(error, mine, len(batch.rows), group)
     norm = nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], config.gradient_norm)
-    refuse_non_finite(learner, error, charge, norm, run)
+    validate_finite(learner, error, charge, norm, run)
     optimiser.step()
     learner.update += 1
     visual, proprioceptive = (each[~batch.blurred].mean().item() for each in (error.visual, error.proprioceptive))
-    told = Progress(learner.update, config.updates, visual, proprioceptive, time.perf_counter() - began)
+    done = Progress(learner.update, config.updates, visual, proprioceptive, time.perf_counter() - began)
     if run:
-        append_to_log(run, asdict(told))
-    return told
+        append_to_log(run, asdict(done))
+    return done
 
 
 def plain_batch(rows: Int[Tensor, " B"], sequences: Sequences) -> Batch:
@@ -271,7 +271,7 @@ def error_of_all(error: SequenceError, mine: Int[Tensor, " S"], count: int, grou
     return SequenceError(*group.add(own.new_zeros(2, count).index_copy_(1, mine.to(own.device), own)))
 
 
-def refuse_non_finite(learner: Learner, error: SequenceError, charge: Tensor, norm: Tensor, run: Path | None) -> None:
+def validate_finite(learner: Learner, error: SequenceError, charge: Tensor, norm: Tensor, run: Path | None) -> None:
     """Raises NonFinite, naming the first tensor that is not finite, before it can reach the weights."""
     suspects = {"the visual error": error.visual, "the proprioceptive error": error.proprioceptive, "the charge for the intention": charge}
     if all(bool(value.isfinite().all()) for value in (*suspects.values(), norm)):
