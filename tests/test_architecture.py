@@ -1,6 +1,7 @@
 """The house: a wing imports only wings below its own, and some doors are walled up altogether (DESIGN: "the house")."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -80,6 +81,12 @@ def test_presets_alone_wire_ideas_into_the_method():
     others = [path for path in ROOMS if wing_of(path) not in ("ideas", "presets")]
     wired = {str(path.relative_to(ROOT)): {name for name in names_in(path) if name.startswith("preimage.ideas")} for path in others}
     assert not {path: names - WIRES_NOTHING for path, names in wired.items() if names - WIRES_NOTHING}
+
+
+def test_contributors_read_of_the_wings_in_this_order():
+    text = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text()
+    rows = re.findall(r"^\| `(\w+)(?:\.py)?` \|", text, re.MULTILINE)
+    assert rows == WINGS
 
 
 def test_every_wing_that_is_listed_is_there():

@@ -8,6 +8,7 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import preimage
+from preimage.method.config import PlanConfig
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN
 
@@ -43,6 +44,28 @@ def is_there(name: str) -> bool:
 def test_names_in_the_documents_are_there():
     assert NAMED
     assert not [name for name in NAMED if not is_there(name)]
+
+
+def test_every_idea_has_its_row_in_the_account_of_the_paper():
+    text = (DOCS / "paper.md").read_text()
+    ideas = {name for _, name, _ in pkgutil.iter_modules([str(Path(preimage.__path__[0]) / "ideas")])}
+    assert ideas == set(re.findall(r"^\| `ideas\.(\w+)` \|", text, re.MULTILINE))
+
+
+def test_numbers_of_the_paper_preset_are_those_of_the_code():
+    text = (DOCS / "paper.md").read_text()
+    network, search = ModelConfig.paper(), PlanConfig.paper()
+    for sentence in (
+        f"{network.intention_noise:g} of their spread (`network.config.ModelConfig.intention_noise`)",
+        f"a standard deviation of {search.initial_deviation:g} of theirs",
+        f"{search.candidates} candidates side by side",
+        f"after {search.screening} iterations (`method.config.PlanConfig.screening`)",
+        f"the best {search.finalists} go on",
+        f"a rate of {search.learning_rate:g} standard deviations",
+        f"after {search.iterations} iterations (`method.config.PlanConfig.iterations`)",
+    ):
+        assert sentence in text
+    assert float(re.findall(r"(\S+) of their squared size", text)[0]) == network.intention_cost
 
 
 def test_table_one_as_the_document_tells_it():

@@ -5,7 +5,7 @@
   intentions, the goal held. Nothing is corrected.
 * `full`: all ideas, the memory of the demonstrations among them.
 
-`PlanOptions` and `TrainOptions` name every idea, so that each can be switched on and off by itself.
+`PlanOptions` and `TrainOptions` name every idea, so that each can be switched on and off alone.
 """
 
 from collections.abc import Callable, Sequence
@@ -66,7 +66,7 @@ class TrainOptions(TrainConfig):
 
     @classmethod
     def of(cls, preset: str) -> Self:
-        """The options of a preset: by itself none mixes anything in; which tasks gain from it is said in `evaluation.experiments`."""
+        """The options of a preset: none augments batches unless asked to; `evaluation.recipes` says which tasks gain from it."""
         return cls()
 
     def augmentations(self) -> "list[Augmentation]":

@@ -1,1 +1,1 @@
-"""What comes of it, counted: trials, held-out recordings, the paper's tables, speed."""
+"""Results, counted and compared: trials, held-out recordings, the paper's tables, speed."""

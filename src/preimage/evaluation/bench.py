@@ -39,11 +39,11 @@ PEER = Sensors(48, 64, 1, ("pan", "tilt"), (-1.0,) * 2, (1.0,) * 2)
 PEER_CONFIG = ModelConfig(vision_channels=(6, 8, 8), motor_units=(16, 8, 6), top_channels=6, lateral_channels=2, seen_channels=2)
 """About P-VMDNN's 42,000 weights."""
 REPEATS, AT_MOST_S = 6, 5.0
-"""How often work is timed, and for how long at the most; the fastest counts, for a machine has other things to do now and then."""
+"""How often work is timed, and for how long at the most; the fastest counts, as a machine is busy with other things now and then."""
 UNSEARCHED, TO_THE_END = (replace(PlanOptions.full(), restarts=0, **each) for each in ({"iterations": 0}, {"tolerance": 0.0}))
-"""A plan at its initial guess, and one that is searched for although it is good enough: the iterations are what they differ in."""
+"""A plan that stays at its initial guess, and one that is searched for although the guess is good enough: they differ in the iterations."""
 TASK, TIMED_SEED = "reach", 900
-"""The bundled model whose plans and whose training are timed, and what draws the goals."""
+"""The bundled model whose plans and training are timed, and the seed that draws the goals."""
 TIMED_UPDATES = 5
 """Updates of a training that are measured, after one that is not; the rest is extrapolated."""
 SHORTER = 10
@@ -53,7 +53,7 @@ START_UPS = {
     "import_all_s": ("-c", "from preimage import *"),
     "help_s": ("-m", "preimage", "--help"),
 }
-"""What is timed in a Python of its own."""
+"""What is timed in a Python process of its own."""
 
 Measured = TypeVar("Measured")
 Report = Callable[[str], None]
@@ -132,7 +132,7 @@ def timed_searches(
 
 
 def seconds_of_start(words: tuple[str, ...]) -> float:
-    """Seconds until a Python of its own has done this, the faster of two."""
+    """Seconds until a Python process of its own has done this, the faster of two."""
 
     def start() -> float:
         began = time.perf_counter()
@@ -143,7 +143,7 @@ def seconds_of_start(words: tuple[str, ...]) -> float:
 
 
 def limit_gflops(device: torch.device, dtype: torch.dtype) -> float:
-    """The most that was seen: a product of matrices that are large for the device, or a 3x3 convolution of the paper's second level."""
+    """The highest rate measured: a product of matrices that are large for the device, or a 3x3 convolution of the paper's second level."""
     size = 8192 if device.type == "cuda" else 1024
     one, other = (torch.randn(size, size, device=device).to(dtype) for _ in range(2))
     maps = torch.randn(10, 160, 16, 16, device=device).to(dtype, memory_format=torch.channels_last)
@@ -161,7 +161,7 @@ def fastest(work: Callable[[], Any], device: torch.device, repeats: int = REPEAT
 
 
 def repeated(measure: Callable[[], Measured], repeats: int = REPEATS) -> list[Measured]:
-    """Some measurements after one that does not count, fewer where they would take longer than `AT_MOST_S`, but one at least."""
+    """Several measurements after one that does not count; fewer where they would take longer than `AT_MOST_S`, but at least one."""
     began = time.perf_counter()
     measure()
     if time.perf_counter() - began < AT_MOST_S / (repeats + 2):  # caches and clocks settle within two
@@ -192,7 +192,7 @@ def flops_of_step(model: PDVMRNN) -> int:
 
 
 def update_of(work: Work, device: torch.device) -> tuple[PDVMRNN, Callable[[], None]]:
-    """A network, and the forward and backward of a batch as training does them; the optimiser's step is left out, it is small."""
+    """A network, and the forward and backward of a batch as training does them; the optimiser's step is left out, as it is small."""
     model = PDVMRNN(work.config, work.sensors, work.batch).to(device)
     config = TrainConfig(precision=work.precision)
     learner = Learner(model, optimiser_of(model, config))

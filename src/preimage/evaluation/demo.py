@@ -1,4 +1,4 @@
-"""The bundled model, let loose: plans to goals it never saw, executed, filmed and counted."""
+"""The bundled model at work: plans to goals it never saw, executed, filmed and counted."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from preimage.storage.runs import find_run, made_from, read_shown
 
 @dataclass(frozen=True)
 class Report:
-    """Where the page lies, and what there is to say of each goal."""
+    """Where the page is, and a line about each goal."""
 
     page: Path
     lines: tuple[str, ...]

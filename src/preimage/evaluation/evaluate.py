@@ -28,7 +28,7 @@ from preimage.robot.execution import execute, execute_open_loop, play
 PIXEL_M = 0.013
 """A pixel of the paper's camera (m)."""
 Policies = Mapping[str, Callable[[Percept], Callable[[Percept], Float[np.ndarray, " J"]]]]
-"""Other ways to go to a goal: from the goal to a policy that is told what is sensed, step by step."""
+"""Other ways to go to a goal: from the goal to a policy that is given what is sensed, step by step."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Row:
     arrival_step: int
     """Step of the plan at which the goal is imagined."""
     demonstration_steps: int
-    """Steps that the tutor took to the same goal, at the plan's rate."""
+    """Steps that the demonstrator took to the same goal, at the plan's rate."""
     error: float
     """Prediction error of the plan."""
     seconds: float
@@ -57,7 +57,7 @@ class Evaluated:
     """One goal with its plan, its trial and the baselines' trials."""
 
     demonstration: Demonstration
-    """What the tutor did; the planner saw its first percept and its last frame."""
+    """What the demonstrator did; the planner saw the first percept of it and the last frame."""
     plan: Plan
     trial: Trial
     baselines: Mapping[str, Trial]
@@ -90,7 +90,7 @@ def evaluate(
     progress: Callable[[Evaluated], None] | None = None,
     group: ProcessGroup = ProcessGroup(),  # noqa: B008, frozen
 ) -> list[Evaluated]:
-    """Plan to goals that a tutor reached, execute in physics and judge.
+    """Plan to goals that a demonstrator reached, execute in physics and judge.
 
     Args:
         goals: how many.
@@ -98,7 +98,7 @@ def evaluate(
         shown: the demonstrations the model was trained on, for the baseline that replays one of them.
         policies: more baselines, by name.
         progress: called after each goal of this process.
-        group: the processes that share the goals; each gets what all have found.
+        group: the processes that share the goals; each gets the results of all.
 
     Raises:
         ProcessLost: another process of the group is no longer there.
@@ -156,10 +156,10 @@ def baselines_of(
 
 
 def straight_through(points: Float[np.ndarray, "M J"], num_steps: int, *, gripper: int | None) -> Float[np.ndarray, "T J"]:
-    """A way straight from each point to the next, all legs as long.
+    """A way straight from each point to the next, in equally many steps each.
 
     Args:
-        gripper: the joint that stays as it was until a point is reached, and is given a step for it there.
+        gripper: the joint that stays as it was until a point is reached, and then changes in one step.
     """
     legs = [points[:1]]
     for here, there in itertools.pairwise(points):
@@ -199,7 +199,7 @@ def row_of(index: int, one: Evaluated) -> Row:
 
 
 def count(trials: Sequence[Trial]) -> dict[str, Any]:
-    """k successes among n trials with their interval, how far off they ended, and what the judge saw besides."""
+    """k successes in n trials with their interval, how far off they ended, and what else the judge saw."""
     deviations = np.array([100 * trial.deviation_m for trial in trials])
     spread = {"mean": deviations.mean(), "median": np.median(deviations), "max": deviations.max()}
     counted = share([trial.success for trial in trials])

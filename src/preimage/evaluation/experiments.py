@@ -42,7 +42,7 @@ def reproduce(
     tell: TELL,
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
-    """Every cell's JSON files are in `out`; what is there already is not made again.
+    """Every cell's JSON files are in `out`; those that were there before are not made again.
 
     Raises:
         ValueError: the working folder holds a run of that name with other data or settings.
@@ -63,7 +63,7 @@ Job = Callable[[Planner, list[Demonstration]], dict[str, Any]]
 
 
 def jobs_of(cell: Cell, work: Path, tell: TELL) -> dict[str, Job]:
-    """All that a cell is asked for, by the ending of its file's name."""
+    """All evaluations of a cell, by the ending of their file's name."""
     jobs: dict[str, Job] = {loop: partial(evaluation_of, cell, work=work, loop=loop, tell=tell) for loop in cell.loops}
     if cell.seed == 0:
         jobs["recognition"] = partial(recognition_of, cell)
@@ -73,7 +73,7 @@ def jobs_of(cell: Cell, work: Path, tell: TELL) -> dict[str, Job]:
 
 
 def demonstrations_of(cell: Cell, work: Path, tell: TELL) -> list[Demonstration]:
-    """The cell's demonstrations, recorded where they are not there yet; fewer are the first of more."""
+    """The cell's demonstrations, recorded if they have not been yet; fewer are the first of more."""
     folder = work / "data" / cell.data
     if not folder.exists():
         tell(f"recording {number_of(cell.num_demonstrations, 'demonstration')} of {cell.task}")
@@ -179,20 +179,20 @@ def recognition_of(cell: Cell, planner: Planner, demonstrations: list[Demonstrat
 
 
 def principal_plane(rows: np.ndarray) -> Callable[[np.ndarray], list[list[float]]]:
-    """The map onto the two directions in which the rows differ most."""
+    """The projection onto the two directions in which the rows differ most."""
     mean = rows.mean(0)
     directions = np.linalg.svd(rows - mean, full_matrices=False)[2][:2]
     return lambda places: ((places - mean) @ directions.T).round(4).tolist()
 
 
 def goals_of(demonstrations: Sequence[Demonstration]) -> list[list[float]]:
-    """Where the tutor brought the hand or the object, on the table (m)."""
+    """Where the demonstrator brought the hand or the object, on the table (m)."""
     places = [one.scene.positions_m for one in demonstrations if one.scene is not None]
     return [list(place["goal" if "goal" in place else "circle"][:2]) for place in places]
 
 
 def rank_correlation(intentions: np.ndarray, goals: Sequence[Sequence[float]]) -> float:
-    """Spearman's correlation of the distances between intentions with the distances between goals: 1 where neighbours stay neighbours."""
+    """Spearman's correlation of the distances between intentions with the distances between goals: 1 where neighbours remain neighbours."""
 
     def distances(points: np.ndarray) -> np.ndarray:
         return np.linalg.norm(points[:, None] - points[None], axis=-1)[np.triu_indices(len(points), 1)]
@@ -205,7 +205,7 @@ def rank_correlation(intentions: np.ndarray, goals: Sequence[Sequence[float]]) -
 def modalities_of(cell: Cell, planner: Planner, _: list[Demonstration], *, work: Path) -> dict[str, Any]:
     """Section II-D: the goal given in vision only, joints only or both; the error of each modality at arrival, given or not.
 
-    Joints stand twice: as error regression arrived at them, and as they are commanded, after the corrections of the preset.
+    The joints are given twice: as error regression found them, and as they are commanded, after the corrections of the preset.
     """
     goals = cell.goals or 20
     rows: dict[str, Any] = {}

@@ -1,7 +1,7 @@
-"""How near plans come to recordings that were never trained on: what can be measured of a robot that is not here.
+"""How near plans come to recordings that were never trained on: what can be measured without the robot.
 
 Each held-out episode is planned anew, from its first percept to its last frame, and what is imagined is compared with what was recorded.
-That is no success rate: nobody moved, and a way that differs from the recorded one may lead to the goal as well. Beside it stand the
+That is no success rate: no robot moved, and a way that differs from the recorded one may lead to the goal as well. Beside it stand the
 demonstration that ends most alike, the straight way to the joints that memory expects at the goal, the same model without a goal, and
 staying at the start.
 
@@ -35,8 +35,8 @@ from preimage.storage.runs import episodes_of, find_run, made_from, read_config,
 NOTE = "How near what is imagined comes to what was recorded. This is no success rate: no robot moved, and other ways may lead there too."
 NUM_MOMENTS = 50
 """Moments, evenly spread over the way, at which two ways are compared."""
-TOLD = 20
-"""Episodes are told by number up to so many of them."""
+MAX_LISTED = 20
+"""At most so many episodes are listed by number."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Where joints and camera went, from the start to the arrival."""
+    """What joints and camera went through, from the start to the arrival."""
 
     joints: Float[np.ndarray, "T J"]
     last_frame: UInt8[np.ndarray, "H W C"] | None = None
@@ -110,9 +110,9 @@ def compare(
 
     Args:
         demonstrations: the recordings, by number of the episode.
-        shown: the demonstrations the model was trained on, for the baseline that repeats one of them.
+        shown: the demonstrations the model was trained on, for the baseline that replays one of them.
         progress: called after each episode of this process.
-        group: the processes that share the episodes; each gets what all have found.
+        group: the processes that share the episodes; each gets the results of all.
 
     Raises:
         ValueError: the recordings have other joints or frames than the model's.
@@ -149,13 +149,13 @@ def compare_run(
     """Compare a run with the episodes of a data set that it was not trained on, and write the result as JSON and a few films.
 
     Args:
-        only: numbers of the episodes to compare with; by default all, of the data set that was trained on those the run was given.
+        only: numbers of the episodes to compare with; by default all; of the data set that was trained on, those that the run was given.
         without: numbers of episodes to leave out.
         progress: called after each episode of this process with the number done and the number of its own.
         group: the processes that share the episodes, of which only the first writes.
 
     Returns:
-        what there is to say, line by line.
+        the result in a few lines.
 
     Raises:
         ValueError: there is no such run or data set, they do not fit together, or every episode was trained on.
@@ -171,12 +171,12 @@ def compare_run(
         raise ValueError(f"{run} was trained on every episode of {data}: train with --hold-out 4, or give other recordings")
     done: list[Compared] = []
 
-    def tell(one: Compared) -> None:
+    def report(one: Compared) -> None:
         done.append(one)
         progress(len(done), len(group.share(len(episodes))))
 
     chosen = {episode: recorded[episode] for episode in episodes}
-    compared = compare(planner, chosen, shown=shown, progress=tell, group=group)
+    compared = compare(planner, chosen, shown=shown, progress=report, group=group)
     result = result_of_comparison(
         compared, about_run(run, folder, data, opened.demonstrations) | {"plan": asdict(options), "provenance": provenance(group.device)}
     )
@@ -217,12 +217,12 @@ def result_of_comparison(compared: Sequence[Compared], about: dict[str, Any]) ->
 
 
 def lines_of(result: Mapping[str, Any]) -> list[str]:
-    """What a person wants to read of a result."""
+    """A result in a few lines, for people."""
     episodes = result["episodes"]
-    told = ", ".join(map(str, episodes[:TOLD])) + (", ..." if len(episodes) > TOLD else "")
+    listed = ", ".join(map(str, episodes[:MAX_LISTED])) + (", ..." if len(episodes) > MAX_LISTED else "")
     heads = "joints at arrival", "joints on the way", "frame at arrival"
     lines = [
-        f"{number_of(len(episodes), 'episode')} never trained on: {told}",
+        f"{number_of(len(episodes), 'episode')} never trained on: {listed}",
         f"{'mean (median) error':22s}" + "".join(f"{head:>24s}" for head in heads),
     ]
     for name, counted in {"imagined": result["imagined"], **result["baselines"]}.items():
@@ -259,15 +259,15 @@ def moments(values: Float[np.ndarray, "T J"], count: int) -> Float[np.ndarray, "
 
 
 def frames_at_moments(frames: UInt8[np.ndarray, "T H W C"], count: int) -> UInt8[np.ndarray, "N H W C"]:
-    """The frames nearest to the moments, for pictures between two steps were never seen."""
+    """The frames nearest to the moments, as there are none between two steps."""
     return frames[np.linspace(0, len(frames) - 1, count).round().astype(int)]
 
 
 def about_run(run: str, folder: Path, data: Path, recorded: Sequence[Demonstration]) -> dict[str, Any]:
     """Which run is compared with which data, and whether those are the data whose other episodes it was trained on."""
     trained_on, name = read_config(folder).get("data") or {}, fingerprint(recorded)
-    told = {"name": data.name, "fingerprint": name, "rest_was_trained_on": trained_on.get("fingerprint") == name}
-    return {"kind": "held-out", "model": run, "data": told} | made_from(folder)
+    compared_with = {"name": data.name, "fingerprint": name, "rest_was_trained_on": trained_on.get("fingerprint") == name}
+    return {"kind": "held-out", "model": run, "data": compared_with} | made_from(folder)
 
 
 def is_same(demonstration: Demonstration, shown: Shown) -> bool:

@@ -4,4 +4,4 @@ from typing import Literal
 
 Loop = Literal["closed", "open", "recorded"]
 """closed: the plan is executed blind; open: the next joints are predicted from what the robot senses; recorded: from what was recorded
-when the tutor showed the way to the same goal (the other reading of the paper's one-step prediction)."""
+when the demonstrator showed the way to the same goal (the other reading of the paper's one-step prediction)."""

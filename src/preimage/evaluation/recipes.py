@@ -1,4 +1,4 @@
-"""How each cell of the paper's tables is trained and what it is asked for: the recipes, and the paper's own numbers.
+"""How each cell of the paper's tables is trained and evaluated: the recipes, and the paper's own numbers.
 
 Demonstrations are recorded with seed 0; a cell of n uses the first n of them. Its seed draws the first weights, the batches and, added to
 `TEST_SEED`, the test goals. Seeds from 500 to 999 are for tuning.
@@ -13,7 +13,7 @@ from preimage.presets import Preset, TrainOptions, network_config
 from preimage.robot import TASKS, Task, with_frames
 
 TEST_GOALS = {"reach": 40, "two-points": 40, "move-object": 50, "two-circles": 50}
-"""As many as the paper's; two circles are a row of our own."""
+"""As many as in the paper; two circles are a task of our own."""
 LITTLE_CAPACITY: dict[str, Any] = {"intention_layers": ("top",), "intention_dimensions": 8}
 """For scenes of which most can be seen at the start: it is to be looked at, not remembered."""
 NETWORKS: dict[str, dict[str, Any]] = {
@@ -21,8 +21,8 @@ NETWORKS: dict[str, dict[str, Any]] = {
     "move-object": LITTLE_CAPACITY | {"intention_cost": 0.2, "keypoints": 8},
     "two-circles": LITTLE_CAPACITY | {"intention_cost": 0.05, "keypoints": 8},
 }
-"""The networks of the tasks with such scenes, where not as the size says. Where things lie that have to be gripped goes to the motors as
-keypoints."""
+"""The networks of the tasks with such scenes, where they differ from the size's own. The positions of things to be gripped go to the motors
+as keypoints."""
 FEWER_UNITS: dict[str, dict[str, Any]] = {"move-object": {"motor_units": (384, 256, 16)}}
 """Of a small network, as it was compared (docs/log.md)."""
 FINER: dict[str, Any] = {"vision_channels": (8, 16, 32, 32), "motor_units": (384, 256, 64, 16), "seen_channels": 4, "keypoints": 8}
@@ -32,16 +32,16 @@ LEARNING: dict[str, dict[str, Any]] = {
     "move-object": {"updates": 1300},
     "two-circles": {"updates": 1300},
 }
-"""How a task is learned, where not as `TrainOptions` says."""
+"""How a task is learned, where that differs from `TrainOptions`."""
 FEW: dict[int, dict[str, Any]] = {50: {"mixup": 0.5}, 25: {"mixup": 0.5, "mixup_arity": 4, "mixup_extrapolation": 1.8}}
 """How reaching is learned from fewer than 100 demonstrations: what lies between them, and around them, has to be learned."""
 TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5070, 6000, 7000
-"""To these a cell's seed is added: the seeds of what its model was never shown."""
+"""A cell's seed is added to these: they draw what its model was never shown."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One training and what its model is asked for."""
+    """One training and the evaluations of its model."""
 
     task: str
     num_demonstrations: int = 100

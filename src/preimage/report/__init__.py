@@ -1,4 +1,4 @@
-"""From records and results to what a person looks at: films, figures and one page that holds them.
+"""From records and results to what people look at: films, figures and one page that holds them.
 
 A film shows the goal, the imagined way to it and what the camera saw on that way; a figure shows the same as a strip of frames above
 the joint curves; a page gathers the counts of an evaluation, its baselines and some cases. This room knows records and JSON only:

@@ -18,7 +18,7 @@ GROWTH = {
 
 
 def growth_chart(growth: Mapping[str, Mapping[str, float]], path: str | os.PathLike[str]) -> Path:
-    """Writes a PNG of the seconds that the work takes as one thing about it grows, from zero: what is a line grows in proportion.
+    """Writes a PNG of the seconds that the work takes as one quantity grows, on axes from zero: a straight line is growth in proportion.
 
     Args:
         growth: the entry of that name in what `preimage bench` writes.

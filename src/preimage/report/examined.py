@@ -21,7 +21,7 @@ from preimage.storage.atomic_write import atomic_write
 
 NUM_COLUMNS = 10
 MOST_SHOWN, MOST_MOVES, MOST_JOINTS = 40, 6, 32
-"""Episodes on the contact sheet, camera moves and joints that are drawn: what one can look at."""
+"""Episodes on the contact sheet, camera moves and joints that are drawn: as many as one can look at."""
 
 
 def examined_page(
@@ -71,7 +71,7 @@ def _table(findings: Sequence[Finding]) -> str:
 
 
 def _pictures(examination: Examination, joint_unit: str | None) -> list[str]:
-    """Those that can be drawn: without a frame or a joint there is nothing to show."""
+    """Those that can be drawn: without a frame or joints there is nothing to show."""
     shown = [one for one in examination.seen if one.first is not None and one.num_steps]
     alike = [one for one in shown if (one.joint_names, one.background.shape) == (shown[0].joint_names, shown[0].background.shape)]
     if not shown:
@@ -97,7 +97,7 @@ def _picture(name: str, words: str, drawing: Figure) -> str:
 
 
 def _contact_sheet(shown: Sequence[Seen], flagged: set[int]) -> Figure:
-    """Flagged episodes are first in line for a place; all in the order of recording."""
+    """Flagged episodes are chosen first; all are shown in the order of recording."""
     chosen = _spread([one for one in shown if one.index in flagged], MOST_SHOWN)
     chosen += _spread([one for one in shown if one.index not in flagged], MOST_SHOWN - len(chosen))
     chosen.sort(key=lambda one: one.index)
@@ -120,7 +120,7 @@ def _contact_sheet(shown: Sequence[Seen], flagged: set[int]) -> Figure:
 
 
 def _spread(some: Sequence[Seen], most: int) -> list[Seen]:
-    """No more than so many of them, evenly spread."""
+    """At most so many of them, evenly spread."""
     return [some[place] for place in np.linspace(0, len(some) - 1, min(most, len(some))).astype(int)]
 
 
@@ -196,7 +196,7 @@ def _last(one: Seen) -> np.ndarray:
 
 
 def _plane(points: Float[np.ndarray, "N J"]) -> Float[np.ndarray, "N 2"]:
-    """The two directions in which the points differ most; one joint is given a second direction that says nothing."""
+    """The two directions in which the points differ most; a single joint gets an empty second direction."""
     centred = points - points.mean(0)
     _, _, directions = np.linalg.svd(centred, full_matrices=False)
     flat = centred @ directions[:2].T  # (N, 1 or 2)

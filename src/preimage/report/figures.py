@@ -1,6 +1,6 @@
 """Figures in the manner of the paper's figures 3 to 5, and the learning curve of a run.
 
-Only matplotlib's object interface is used: no pyplot, no backend chosen for anybody else.
+Only matplotlib's object interface is used: no pyplot, so no backend is chosen for anybody else.
 """
 
 import json
@@ -59,11 +59,11 @@ def figure(
 ) -> Path:
     """Writes a PNG: initial and goal frame, the imagined and the executed sequence, and below them the joint curves.
 
-    Joints are drawn in the unit of the training data, radians as degrees. What was executed was the simulated arm's: its joints are in rad,
-    but for the gripper, which is in m and gets a strip of its own.
+    Joints are drawn in the unit of the training data, radians as degrees. Only the simulated arm executes: its joints are in rad, but
+    for the gripper, which is in m and has an axis of its own.
 
     Args:
-        joint_unit: the unit of all joints, where the data told (`storage.runs.read_body`).
+        joint_unit: the unit of all joints, where the data give one (`storage.runs.read_body`).
         commands: what the robot is to be sent, drawn over what is imagined (`robot.limits.commands_of`).
         commands_hz: rows a second of the commands; by default the plan's.
     """
@@ -234,14 +234,14 @@ def _draw_legend(axes: Axes, colours: tuple[object, ...], plan: Plan, sent: _Ove
 
 
 def sheet(height_inches: float, layout: Literal["constrained"] | None = None) -> Figure:
-    """White paper of the width that all figures have."""
+    """A blank figure of the width that all figures have."""
     drawing = Figure(figsize=(WIDTH_INCHES, height_inches), dpi=DOTS_PER_INCH, facecolor="white", layout=layout)
     FigureCanvasAgg(drawing)
     return drawing
 
 
 def quiet(axes: Axes) -> None:
-    """No frame above and to the right, small numbers."""
+    """Axes without a frame above and to the right, with small numbers."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=9)
 

@@ -79,7 +79,7 @@ def film(plan: Plan, trial: Trial | None, path: str | os.PathLike[str], *, recor
     """Writes the film of a plan, and of its execution where there was one, at the plan's rate.
 
     Args:
-        recorded: what was recorded of the same way, at the plan's rate, to be shown beside it.
+        recorded: the recording of the same way, at the plan's rate, to be shown beside it.
         path: ends in `.mp4` (H.264, plays in browsers) or `.gif`; missing folders are made.
 
     Raises:

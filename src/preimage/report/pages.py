@@ -97,7 +97,7 @@ def _facts(results: Mapping[str, Any]) -> str:
     """The line under the title: what was evaluated, as far as the results say."""
     known = {name: results[name] for name in ("model", "size", "num_demonstrations", "seed") if results.get(name) is not None}
     facts = [f"task {results['task']}"]
-    facts += [number_of(told, "demonstration") if name == "num_demonstrations" else f"{name} {told}" for name, told in known.items()]
+    facts += [number_of(value, "demonstration") if name == "num_demonstrations" else f"{name} {value}" for name, value in known.items()]
     if results.get("loop") in _LOOPS:
         facts.append(f"{results['loop']} loop: {_LOOPS[results['loop']]}")
     if results.get("seconds_per_plan") is not None:
@@ -197,7 +197,7 @@ def _relative(file: Path, folder: Path) -> str:
 
 
 def _number(value: float | None, decimals: int) -> str:
-    """The number with so many decimals; a dash where there is none (JSON has no NaN)."""
+    """The number with so many decimal places; a dash where there is none (JSON has no NaN)."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
 
 

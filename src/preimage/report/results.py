@@ -116,8 +116,8 @@ def recognition_table(found: Results) -> str:
     for one in found:
         if "neighbours" in one:
             training, novel = (sum(one["error"][name]) / len(one["error"][name]) for name in ("training", "novel"))
-            told = [one["task"], str(one["num_demonstrations"]), str(one.get("size"))]
-            rows.append([*told, f"{training:.3f}", f"{novel:.3f}", f"{one['neighbours']:.2f}"])
+            cell = [one["task"], str(one["num_demonstrations"]), str(one.get("size"))]
+            rows.append([*cell, f"{training:.3f}", f"{novel:.3f}", f"{one['neighbours']:.2f}"])
     head = ["task", "demonstrations", "size", "error, training sequences", "error, novel sequences", "neighbours (rank correlation)"]
     return table("Recognition of whole sequences", head, rows)
 
@@ -138,7 +138,7 @@ GROWTH = """How the work grows on {device}, {threads} threads:
 
 
 def modalities_table(found: Results) -> str:
-    """Section II-D: what of the goal is given."""
+    """Section II-D: the goal given in one modality or in both."""
     rows = [
         [given, counted(row), mean_cm(row), f"{row['pixel_error_mean']:.2f}", f"{row['joint_error_rad_mean']:.3f}"]
         for one in found
@@ -158,8 +158,8 @@ def held_out_table(found: Results) -> str:
                 spread = [f"{each['mean']:.3g} ({each['median']:.3g})" if each else "" for each in known]
                 rows.append([one["data"]["name"], one["model"], f"{len(one['episodes'])}", way.replace("_", " "), *spread])
     head = ["recordings", "run", "held out", "way", "joints at arrival", "joints on the way", "frame at arrival"]
-    told = "Mean (median) difference from what was recorded, joints in the unit of the data, frames in squared grey levels. No robot moved."
-    return table("Recordings of real robots, held-out episodes", head, rows) + (f"\n\n{told}" if rows else "")
+    note = "Mean (median) difference from what was recorded, joints in the unit of the data, frames in squared grey levels. No robot moved."
+    return table("Recordings of real robots, held-out episodes", head, rows) + (f"\n\n{note}" if rows else "")
 
 
 def speed_table(found: Results) -> str:
@@ -170,20 +170,20 @@ def speed_table(found: Results) -> str:
         for name, work in one.get("train", {}).items() if "limit_gflops" in one else ():
             share = f"{work['fraction_of_limit']:.0%}"
             memory = f"{work['peak_memory_mb']:.0f} MB" if "peak_memory_mb" in work else ""
-            told = f"{work['seq_steps_per_s']} sequence steps/s"
-            rows.append([device, f"train {name}", told, share, memory])
+            measured = f"{work['seq_steps_per_s']} sequence steps/s"
+            rows.append([device, f"train {name}", measured, share, memory])
         for name, work in one.get("plan", {}).items() if "limit_gflops" in one else ():
-            told = f"{work['ms_per_iteration']} ms an iteration"
+            measured = f"{work['ms_per_iteration']} ms an iteration"
             if "warm_s" in work:
                 spread = f"mean {work['warm_s_mean']}, longest {work['warm_s_longest']}"
-                told = f"{work['warm_s']} s warm ({spread}), {work['cold_s']} s cold, {told}"
-            rows.append([device, f"plan {name}", told, "", ""])
-        rows += [[device, work, told, "", ""] for work, told in other_speeds(one).items()]
+                measured = f"{work['warm_s']} s warm ({spread}), {work['cold_s']} s cold, {measured}"
+            rows.append([device, f"plan {name}", measured, "", ""])
+        rows += [[device, work, measured, "", ""] for work, measured in other_speeds(one).items()]
     return table("Speed", ["device", "work", "measured", "share of the machine's limit", "memory"], rows)
 
 
 def other_speeds(one: Mapping[str, Any]) -> dict[str, str]:
-    """What a bench says of a whole training and of starting."""
+    """How long a whole training and a start take, as benched."""
     speeds: dict[str, str] = {}
     if "whole_training" in one:
         whole = one["whole_training"]
@@ -196,7 +196,7 @@ def other_speeds(one: Mapping[str, Any]) -> dict[str, str]:
 
 
 def cells_table(evaluations: Results) -> str:
-    """How each number can be had again."""
+    """How to obtain each number again."""
     rows = []
     for one in evaluations:
         made = one.get("provenance", {})

@@ -61,7 +61,7 @@ OBJECT_GREY = 0.05
 
 @dataclass(frozen=True)
 class Workspace:
-    """What stands around the arm, and which hand it has for it."""
+    """What stands around the arm, and which hand the arm has."""
 
     table_size_m: float = 0.74
     """Side of the square table, whose near edge is x = 0 (m)."""
@@ -73,7 +73,7 @@ class Workspace:
     has_object: bool = False
     """Whether the cylinder named "object" stands on the table, free to be moved."""
     has_gripper: bool = False
-    """Whether the fingers can open; otherwise they are closed for good."""
+    """Whether the fingers can open; otherwise they stay closed."""
 
     @property
     def things(self) -> tuple[str, ...]:
@@ -88,7 +88,7 @@ class GroundTruth:
     end_effector_m: Float[np.ndarray, " 3"]
     """The point between the finger tips (m)."""
     commanded_m: Float[np.ndarray, " 3"]
-    """Where that point would be if the arm stood at its set points: it does, unless something is in its way (m)."""
+    """Where that point would be if the arm stood at its set points: it is there unless something is in its way (m)."""
     gripper_m: float = 0.0
     """Commanded half-opening (m); 0 where the fingers cannot open."""
     object_m: Float[np.ndarray, " 3"] | None = None
@@ -140,7 +140,7 @@ class Arm:
         return self._data.site("end_effector").xpos.copy()
 
     def set_up(self, workspace: Workspace) -> None:
-        """The arm stands at home in this workspace; nothing changes where it does already."""
+        """The arm stands at home in this workspace; where it does already, nothing changes."""
         if workspace != self._workspace:
             self._build(workspace)
             self.reset(self.home)
@@ -150,7 +150,7 @@ class Arm:
         joints: Sequence[float] | Float[np.ndarray, " J"],
         positions_m: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
-        """The arm is at rest at these joints (rad; gripper: m), and nothing is left of what it did before.
+        """The arm is at rest at these joints (rad; gripper: m), with no trace of what it did before.
 
         Args:
             positions_m: where the centres of the objects of the workspace are now (m); what is not named is at the origin.
@@ -178,7 +178,7 @@ class Arm:
         mujoco.mj_kinematics(self._model, self._data)  # mj_step leaves the bodies where they were one step ago
 
     def sense(self) -> Percept:
-        """What camera and joint encoders tell now.
+        """What camera and joint encoders sense now.
 
         The gripper is sensed as it was commanded. Fingers that hold the object stand at its width while the command is 0: a plan made of
         what the fingers measured would command that width, and drop the object.
@@ -188,7 +188,7 @@ class Arm:
         return Percept(self._renderer.frame(self._data), sensed)
 
     def ground_truth(self) -> GroundTruth:
-        """What is true of the hand and the object now."""
+        """The true state of the hand and the object now."""
         commands = self._data.ctrl[self._actuators]
         commanded_m = forward_kinematics(commands[: len(ACTIVE_JOINTS)])
         gripper_m = float(commands[-1]) if self._has_gripper else 0.0

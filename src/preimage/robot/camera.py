@@ -1,7 +1,7 @@
 """Grey frames of the simulated table by casting rays: no OpenGL, no display, the same bits on every machine.
 
-One ray goes through the middle of every pixel; where it meets something else than its neighbours do, nine rays take its place. A
-second ray from the lamp to the point that was met finds out whether it lies in shadow.
+One ray goes through the middle of every pixel; where it meets something other than its neighbours do, nine rays take its place. A
+second ray from the lamp to the point that was met shows whether it lies in shadow.
 
 >>> Camera(height=48, width=80).rays(1).shape
 (3840, 1, 3)

@@ -15,7 +15,7 @@ from preimage.robot.arm import Arm, GroundTruth
 from preimage.robot.task import Task
 
 MAX_TRIES = 100
-"""Scenes tried for one demonstration before the task is held to be beyond the demonstrator."""
+"""Scenes tried for one demonstration before the task is taken to be beyond the demonstrator."""
 
 
 def record(arm: Arm, task: Task, *, count: int, seed: int, progress: Callable[[int, int], None] | None = None) -> list[Demonstration]:

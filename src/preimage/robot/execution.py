@@ -16,14 +16,14 @@ SETTLE_S = 0.5
 ENCODER_MARGIN = 0.1
 """Joints are sensed at most this far beyond their limits (rad; gripper: m): stops give way a little."""
 FARTHEST_M = 10.0
-"""No thing of a task lies farther from the arm (m)."""
+"""Nothing in a task is farther from the arm than this (m)."""
 
 Policy = Callable[[Percept], Float[np.ndarray, " J"]]
 """What to command for the next step (rad; gripper: m), given what is sensed now."""
 
 
 def execute(plan: Plan, arm: Arm, scene: Scene, *, task: Task | None = None) -> Trial:
-    """Play the plan's joints up to its arrival step without looking, and judge the course of it.
+    """Play the plan's joints up to its arrival step without looking, and judge what happened.
 
     Args:
         task: by default the one that the scene names, seen in the default frames.
@@ -64,7 +64,7 @@ def execute_open_loop(
     rate_hz: float,
     task: Task | None = None,
 ) -> Trial:
-    """Let a policy that sees what the robot senses, step by step, command the arm, and judge the course of it.
+    """Let a policy that sees what the robot senses, step by step, command the arm, and judge what happened.
 
     The limits are those of blind execution, but a policy that asks for too much gets no more time: it senses that it was slowed.
 
@@ -142,17 +142,17 @@ class Stage:
         return self._percepts[-1]
 
     def move(self, command: Float[np.ndarray, " J"], seconds: float) -> None:
-        """The arm went where it was commanded, and what it sensed then is kept."""
+        """Move the arm to the command, and keep what it senses then."""
         self._arm.move(command, seconds)
         self._percepts.append(self._arm.sense())
         self.course.append(self._arm.ground_truth())
 
     def judge(self) -> Judgement:
-        """What the task says of the course so far."""
+        """How the task judges the course so far."""
         return self._task.judge(self._scene, self.course)
 
     def finish(self, command: Float[np.ndarray, " J"], limited: tuple[str, ...]) -> Trial:
-        """The arm has come to rest at the last command, and the task has judged the course of it all."""
+        """Let the arm come to rest at the last command, and let the task judge the whole course."""
         self.move(command, SETTLE_S)
         judgement = self.judge()
         return Trial(

@@ -2,8 +2,8 @@
 
 An episode is one scene. What is observed is the frame, the joints and the goal frame, the last one of a demonstration that solved the
 same scene; an action is the joints to command for the next step, as in a plan (rad; gripper: m). The arm follows within its speed, as in
-`robot.execution`. The task's own judge ends the episode, with a reward of 1, once the scene is solved and the end effector is at rest: to
-pass through a goal is not to reach it. Until then the reward is 0, and what the judge sees is in `info`.
+`robot.execution`. The task's own judge ends the episode, with a reward of 1, once the scene is solved and the end effector is at rest:
+passing through a goal is not reaching it. Until then the reward is 0, and what the judge sees is in `info`.
 
 >>> environment = gymnasium.make("preimage/Reach-v0")
 >>> seen, info = environment.reset(seed=0)
@@ -34,7 +34,7 @@ from preimage.robot.limits import Limiter
 REST_M = 0.005
 """An end effector that moved less than this since the step before is at rest (m)."""
 PATIENCE = 2
-"""An episode is cut off after so many times the steps of the longest demonstration that can be."""
+"""An episode is cut off after so many times the steps of the longest possible demonstration."""
 
 Observation = dict[str, np.ndarray]
 """frame and goal (H, W, 1) uint8; joints, observation, achieved_goal and desired_goal float32."""
@@ -145,12 +145,12 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
 
     @property
     def _goal_name(self) -> str:
-        """What the scene calls the goal: a point, or the first of the circles."""
+        """Where the goal of the scene is: a point, or the first of the circles."""
         return "goal" if "goal" in self._scene.positions_m else self._task.workspace.circles[0]
 
     @property
     def _brought_m(self) -> Float[np.ndarray, " P"]:
-        """Where that is which the task brings to the goal: the object on the table, or the end effector in space."""
+        """Where the thing that the task brings to the goal is: the object on the table, or the end effector in space."""
         moment = self._stage.course[-1]
         return moment.end_effector_m if moment.object_m is None else moment.object_m[:2]
 
@@ -169,7 +169,7 @@ def name_of(task: str) -> str:
 
 
 def register() -> None:
-    """Every task can be made by its name; nothing happens to those that can already."""
+    """Register every task by its name, unless it is registered already."""
     for name, task in TASKS.items():
         if name_of(name) not in gymnasium.registry:
             entry_point = "preimage.robot.gym:TaskEnvironment"

@@ -21,10 +21,10 @@ from preimage.records import Plan, Shown, number_of
 from preimage.storage.reading import LARGEST_NUMBER, parse_json
 
 UNIT = "units"
-"""What the joints' unit is called where nobody said which it is."""
+"""What the joints' unit is called where it is not known."""
 KEYS = ("lower", "upper", "velocity", "step")
 MAX_ADDED_STEPS = 10_000
-"""Steps that limits may add to a way: more would be a unit that is wrong, or a robot that was not meant to move."""
+"""Steps that limits may add to a way: more would mean a wrong unit, or a robot that was not meant to move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Limits:
 
     joint_names: tuple[str, ...]
     units: tuple[str, ...]
-    """rad or m, or what the data say of theirs."""
+    """rad or m, or the unit that the data give."""
     lower: Float[np.ndarray, " J"]
     """In units."""
     upper: Float[np.ndarray, " J"]
@@ -47,7 +47,7 @@ class Limits:
 
 
 def limits_seen(sensors: Sensors, shown: Sequence[Shown], *, unit: str | None = None) -> Limits:
-    """The limits that the demonstrations speak for: the range of each joint as the model codes it, and the fastest step seen.
+    """The limits that the demonstrations imply: the range of each joint as the model codes it, and the fastest step seen.
 
     The range is the one seen, widened by LIMIT_MARGIN of it. A joint that hardly moved may still cross that share of its range in a second.
 

@@ -17,7 +17,7 @@ from preimage.robot.kinematics import JOINT_LIMITS, VELOCITY_LIMITS, forward_kin
 MIN_MOVING_STEPS = 15
 """Pauses are left out where they would leave fewer steps than this to move."""
 PAUSE_CHANCES = (0.4, 0.4, 0.2)
-"""Chances of no, one and two pauses."""
+"""Probabilities of no, one and two pauses."""
 PAUSE_STEPS = (2, 5)
 """Shortest and longest pause."""
 SPEED_SD = 0.35

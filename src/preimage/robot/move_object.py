@@ -1,6 +1,6 @@
 """Experiment 3 of the paper: grasp the object and put it upright into a circle.
 
-With one circle the scene itself tells where the object belongs. With two, alike in look, only the last frame does.
+With one circle the scene itself shows where the object belongs. With two, alike in look, only the last frame does.
 
 >>> task = MoveObject.with_two_circles()
 >>> scene = task.sample(np.random.default_rng(0))
@@ -36,7 +36,7 @@ from preimage.robot.task import (
 )
 
 CIRCLES = ("circle", "other_circle")
-"""Names of the circles in a scene: the object belongs into the first."""
+"""Names of the circles in a scene: the object belongs in the first."""
 WORKSPACE = Workspace(LARGE_TABLE_M, LARGE_TABLE_CAMERA, circles=CIRCLES[:1], has_object=True, has_gripper=True)
 APART_M = 0.18
 """Object and circles lie at least this far from each other (m)."""
@@ -87,7 +87,7 @@ class MoveObject:
 
     @classmethod
     def with_two_circles(cls) -> Self:
-        """The object belongs into one of two circles, and nothing but the last frame tells into which."""
+        """The object belongs in one of two circles, and only the last frame shows into which."""
         return cls(workspace=replace(WORKSPACE, circles=CIRCLES))
 
     @property
@@ -97,7 +97,7 @@ class MoveObject:
 
     @property
     def num_steps(self) -> tuple[int, int]:
-        """Lengths of the shortest and of the longest demonstration that can be."""
+        """Lengths of the shortest and the longest possible demonstration."""
         parts = SWING_STEPS, LOWER_STEPS, LIFT_STEPS, CARRY_STEPS, PUT_STEPS, LIFT_STEPS
         shortest, longest = (sum(steps) + 1 + 2 * GRIP_STEPS + REST_STEPS for steps in zip(*parts, strict=True))
         return shortest, longest + HOVER_PAUSE_STEPS[1] + CARRY_PAUSE_STEPS[1]
@@ -142,7 +142,7 @@ class MoveObject:
 
         * `grasped`: the object was lifted.
         * `grasp_error_m`: from the end effector, as commanded when the hand first closes, to the object's centre as laid out. That is the
-          error of the plan: a finger that comes down on the object pushes both aside, which would add to it or take from it.
+          error of the plan: a finger that comes down on the object pushes both aside, which would change the error.
         * `release_error_m`: from the end effector, as commanded when the hand then opens again, to the circle's centre.
         * `place_error_m`: from the object's centre to the circle's centre at the end.
         * `upright`, `inside`, `released`: how the object ends. `inside_other`, where there are two circles: it ends in the wrong one.

@@ -43,7 +43,7 @@ class Reach:
 
     @property
     def num_steps(self) -> tuple[int, int]:
-        """Lengths of the shortest and of the longest demonstration that can be."""
+        """Lengths of the shortest and the longest possible demonstration."""
         return MOTION.steps
 
     def sample(self, rng: np.random.Generator) -> Scene:

@@ -18,7 +18,7 @@ from preimage.robot.camera import Camera
 START_SD = 0.005
 """Standard deviation of the start about home, each joint of the arm (rad)."""
 NEVER_M = 9.0
-"""The distance that stands in a judgement's details for a nearness that never was (m): JSON has no infinity."""
+"""The distance that a judgement's details give where nothing ever came near (m): JSON has no infinity."""
 
 LARGE_TABLE_M = 1.0
 """Side of the table of experiments 2 and 3 (m)."""
@@ -36,7 +36,7 @@ class Judgement:
     """Distance between what the task brings to the goal and the goal, at the end (m)."""
     success: bool
     details: Mapping[str, float] = field(default_factory=dict)
-    """What else the judge saw: distances (m) and truths, ready for JSON."""
+    """What else the judge saw: distances (m) and booleans, ready for JSON."""
 
 
 @runtime_checkable
@@ -63,7 +63,7 @@ class Task(Protocol):
 
     @property
     def num_steps(self) -> tuple[int, int]:
-        """Lengths of the shortest and of the longest demonstration that can be."""
+        """Lengths of the shortest and the longest possible demonstration."""
         ...
 
     def sample(self, rng: np.random.Generator) -> Scene:

@@ -72,7 +72,7 @@ class ReachTwo:
 
     @property
     def num_steps(self) -> tuple[int, int]:
-        """Lengths of the shortest and of the longest demonstration that can be."""
+        """Lengths of the shortest and the longest possible demonstration."""
         return TO_MARKER.steps[0] + TRANSFER_STEPS[0] - 1, TO_MARKER.steps[1] + TRANSFER_STEPS[1] - 1
 
     def sample(self, rng: np.random.Generator) -> Scene:
