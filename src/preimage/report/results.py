@@ -10,7 +10,7 @@ from preimage.report.charts import growth_chart, intention_map
 from preimage.storage.atomic_write import atomic_write
 
 Results = Sequence[Mapping[str, Any]]
-BASELINES = ("nearest_demonstration", "behaviour_cloning", "recalled_joints", "prior_mean", "do_nothing")
+BASELINES = ("nearest_demonstration", "behaviour_cloning", "memory_alone", "prior_mean", "do_nothing")
 
 
 def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) -> Path:
@@ -25,7 +25,14 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
         raise ValueError(f"{folder} holds no evaluation: write one with `preimage evaluate` or `preimage reproduce`")
     path = Path(path)
     figures = path.parent / "figures"
-    parts = [HEAD, reach_table(evaluations), tasks_table(evaluations), grasps_table(evaluations), recognition_table(found)]
+    parts = [
+        HEAD,
+        presets_table(evaluations),
+        reach_table(evaluations),
+        tasks_table(evaluations),
+        grasps_table(evaluations),
+        recognition_table(found),
+    ]
     parts += [pictures(found, figures, "map", intention_map, INTENTIONS), modalities_table(found)]
     parts += [held_out_table(found), speed_table(found)]
     parts += [pictures(found, figures, "growth", lambda one, to: growth_chart(one["growth"], to), GROWTH), cells_table(evaluations)]
@@ -38,12 +45,12 @@ BEGIN, END = "<!-- results:begin -->", "<!-- results:end -->"
 
 
 def fill_readme(folder: str | os.PathLike[str], readme: str | os.PathLike[str]) -> None:
-    """Writes the table of reaching between the README's marks; a README without marks stays as it is."""
+    """Writes the table of the three presets between the README's marks; a README without marks stays as it is."""
     path = Path(readme)
     text = path.read_text() if path.exists() else ""
     if BEGIN not in text or END not in text:
         return
-    _, _, rows = reach_table(evaluations_among(read_results(folder))).partition("\n\n")
+    _, _, rows = presets_table(evaluations_among(read_results(folder))).partition("\n\n")
     before, after = text.split(BEGIN)[0], text.split(END)[1]
     with atomic_write(path) as unfinished:
         unfinished.write_text(f"{before}{BEGIN}\n{rows}\n{END}{after}")
@@ -61,7 +68,10 @@ def evaluations_among(found: Results) -> Results:
 
 def read_result(file: Path) -> dict[str, Any]:
     try:
-        return json.loads(file.read_text()) | {"file": file.name}
+        found = {"preset": "full"} | json.loads(file.read_text()) | {"file": file.name}
+        if "recalled_joints" in found.get("baselines", {}):  # as results before there were presets call it
+            found["baselines"]["memory_alone"] = found["baselines"].pop("recalled_joints")
+        return found
     except (ValueError, TypeError) as error:
         raise ValueError(f"{file} is no result ({error}): remove it, or write it anew") from error
 
@@ -71,9 +81,37 @@ HEAD = """# Results
 Written by `preimage report` from the JSON files in `results/`; nothing here is typed by hand. Every count is k/n of test goals that
 neither training nor tuning saw, with the Wilson 95 % interval. The baselines stand beside: *nearest demonstration* replays the
 demonstration whose last frame is most like the goal, *behaviour cloning* maps what is sensed and the goal frame to the next joints,
-*recalled joints* goes straight to where the model's memory, without its network, expects the arm at the goal, by way of where it expects
+*memory alone* goes straight to where the model's memory, without its network, expects the arm at the goal, by way of where it expects
 the gripper to close and open, *prior mean* is the same model with no goal, *do nothing* leaves the arm where it starts. Sizes are those
 of `preimage train`."""
+
+
+PRESETS = ("paper", "regression", "full")
+
+
+def presets_table(evaluations: Results) -> str:
+    """What the paper reports, beside its method alone, network and search without memory, and all ideas: all seeds together."""
+    kinds = [("reach", 100, "closed"), ("reach", 50, "closed"), ("reach", 25, "closed"), ("two-points", 100, "closed")]
+    kinds += [("move-object", 100, "closed"), ("move-object", 100, "open")]
+    rows = []
+    for task, count, loop in kinds:
+        alike = of(evaluations, task=task, num_demonstrations=count, loop=loop, size="small")
+        alike = [one for one in alike if one.get("pixels", 64) == 64]
+        cells = [pooled([one for one in alike if one["preset"] == preset]) for preset in PRESETS]
+        if any(cells):
+            rows.append([task, f"{count}", loop, next((paper_rate(one) for one in alike if one.get("paper")), ""), *cells])
+    return table(
+        "The method alone, and what is added", ["task", "demonstrations", "loop", "paper", *(f"as {name}" for name in PRESETS)], rows
+    )
+
+
+def pooled(evaluations: Results) -> str:
+    """Successes of several evaluations together, and of how many training seeds."""
+    if not evaluations:
+        return ""
+    reached, goals = (sum(one[name] for one in evaluations) for name in ("success", "goals"))
+    seeds = len({one.get("training_seed") for one in evaluations})
+    return f"{reached}/{goals} ({percent(reached / goals)}, {seeds} training seed{'' if seeds == 1 else 's'})"
 
 
 def reach_table(evaluations: Results) -> str:
@@ -83,8 +121,10 @@ def reach_table(evaluations: Results) -> str:
         for one in of(evaluations, task="reach", num_demonstrations=count, loop="closed"):
             deviation = (one.get("paper") or {}).get("deviation_cm")
             mean = f"{deviation} cm" if deviation else ""
-            rows.append([f"{count}", size_of(one), paper_rate(one), counted(one), mean, mean_cm(one), *baselines(one)])
-    return table("Reaching (Table II)", ["demonstrations", "size, seeds", "paper", "ours", "paper, mean", "ours, mean", *BASELINES], rows)
+            rows.append([f"{count}", size_of(one), one["preset"], paper_rate(one), counted(one), mean, mean_cm(one), *baselines(one)])
+    return table(
+        "Reaching (Table II)", ["demonstrations", "size, seeds", "as", "paper", "ours", "paper, mean", "ours, mean", *BASELINES], rows
+    )
 
 
 def tasks_table(evaluations: Results) -> str:
@@ -92,8 +132,8 @@ def tasks_table(evaluations: Results) -> str:
     rows = []
     for task in ("two-points", "move-object", "two-circles"):
         for one in of(evaluations, task=task):
-            rows.append([task, one["loop"], size_of(one), paper_rate(one), counted(one), mean_cm(one), *baselines(one)])
-    return table("Two points, and moving an object", ["task", "loop", "size, seeds", "paper", "ours", "mean", *BASELINES], rows)
+            rows.append([task, one["loop"], size_of(one), one["preset"], paper_rate(one), counted(one), mean_cm(one), *baselines(one)])
+    return table("Two points, and moving an object", ["task", "loop", "size, seeds", "as", "paper", "ours", "mean", *BASELINES], rows)
 
 
 def grasps_table(evaluations: Results) -> str:
@@ -140,11 +180,27 @@ GROWTH = """How the work grows on {device}, {threads} threads:
 def modalities_table(found: Results) -> str:
     """Section II-D: the goal given in one modality or in both."""
     rows = [
-        [given, counted(row), mean_cm(row), f"{row['pixel_error_mean']:.2f}", f"{row['joint_error_rad_mean']:.3f}"]
+        [
+            given,
+            counted(row),
+            mean_cm(row),
+            f"{row['pixel_error_mean']:.2f}",
+            imagined_joints_off(row),
+            f"{row['joint_error_rad_mean']:.3f}",
+        ]
         for one in found
         for given, row in one.get("modalities", {}).items()
     ]
-    return table("The goal in one modality or both", ["goal given in", "reached", "mean", "grey levels off", "joints off (rad)"], rows)
+    return table(
+        "The goal in one modality or both",
+        ["goal given in", "reached", "mean", "grey levels off", "joints off as imagined (rad)", "as commanded"],
+        rows,
+    )
+
+
+def imagined_joints_off(row: Mapping[str, Any]) -> str:
+    off = row.get("imagined_joint_error_rad_mean")
+    return "" if off is None else f"{off:.3f}"
 
 
 def held_out_table(found: Results) -> str:
