@@ -14,6 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
+from preimage.compute.precision import resolve_precision
 from preimage.method.config import PlanConfig, TrainConfig
 from preimage.network.config import ModelConfig
 from preimage.network.ranges import validate
@@ -203,7 +204,8 @@ class Planner:
 
     def __init__(self, model: "PDVMRNN", memory: "DemonstrationMemory | None" = None, options: PlanOptions | None = None) -> None:
         self.model, self.memory = model, memory
-        self.options = options or (PlanOptions.full() if memory else PlanOptions.regression())
+        options = options or (PlanOptions.full() if memory else PlanOptions.regression())
+        self.options = replace(options, precision=resolve_precision(options.precision, model.home_pixels.device))
         _ = self.ideas
 
     @cached_property

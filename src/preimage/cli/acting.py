@@ -46,9 +46,12 @@ def demo(
         raise ValueError(f"there is no bundled model of {task}; there are {', '.join(BUNDLED)}")
     if not 1 <= goals <= MOST_GOALS:
         raise ValueError(f"--goals is {goals}: give 1 to {MOST_GOALS}")
+    from preimage.compute.devices import CPU
+    from preimage.compute.precision import describe_precision
     from preimage.compute.threads import choose_threads
     from preimage.evaluation import demo as demonstration_of_it_all
 
+    remark(describe_precision(config.precision, CPU))
     remark(choose_threads())
     with bar() as progress, output_folder(out, DEMO, overwrite=True) as draft:
         shown = progress.add_task("planning and executing", total=goals)
@@ -88,6 +91,7 @@ def plan_(
         config: how the plan is searched for.
     """
     from preimage.compute.devices import torch_device
+    from preimage.compute.precision import describe_precision
     from preimage.compute.threads import choose_threads
     from preimage.data.sources import find_percept
     from preimage.ideas.waypoints import join
@@ -113,7 +117,7 @@ def plan_(
     if config.modalities != "vision":
         validate_range_of_joints(goals, model.sensors, unit=body.joint_unit, source="--goal" if goal_joints is None else "--goal-joints")
     begin = find_percept(start, model.sensors, view=view, default_step=0).percept if start else None
-    threads = choose_threads()
+    precision, threads = describe_precision(config.precision, model.home_pixels.device), choose_threads()
     legs = planner.plan_in_turn(start=begin, goals=goals)
     found = join(legs)
     rate_hz = rate_hz or max(one.rate_hz for one in shown)
@@ -124,6 +128,7 @@ def plan_(
         film(found, None, draft / "imagined.mp4")
         figure(found, None, draft / "imagined.png", joint_unit=body.joint_unit, commands=commands, commands_hz=rate_hz)
     print("\n".join(sentences_of(legs, found, out)))
+    print(precision)
     print(threads)
     print("\n".join(limited) or "no limit changed the joints to command")
 

@@ -137,6 +137,7 @@ def train_(
         as_: paper is the paper's network and learning alone; regression and full begin with a latent intention.
         config: how the network learns.
     """
+    from preimage.compute.precision import describe_precision
     from preimage.compute.processes import join_processes
     from preimage.data.dataset import fingerprint, open_recordings
     from preimage.evaluation.held_out import every_nth
@@ -171,6 +172,7 @@ def train_(
     demonstrations = [one for episode, one in zip(opened.episodes, recorded, strict=True) if episode not in held_out]
     about = {"size": size, "preset": as_, "num_demonstrations": len(demonstrations), "data": learned_from}
     group = join_processes(devices=devices, num_nodes=num_nodes, device=device)
+    lines.append(describe_precision(config.precision, group.device))
     about |= {"view": asdict(opened.view), "body": asdict(opened.body)}
     about |= {"task": task_of(demonstrations) or opened.task, "provenance": provenance(group.device)}
     with bar(shown=group.first) as progress:

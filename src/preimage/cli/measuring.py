@@ -4,7 +4,7 @@ What a verb's signature does not need is loaded in its function, so that a word 
 """
 
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -59,6 +59,7 @@ def evaluate_(
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
         config: how the plans are searched for.
     """
+    from preimage.compute.precision import describe_precision
     from preimage.compute.processes import join_processes
     from preimage.compute.threads import choose_threads
     from preimage.evaluation.evaluate import Evaluated, evaluate, result_of
@@ -85,8 +86,9 @@ def evaluate_(
     pixels = planner.model.sensors.height
     filmed = with_frames(TASKS[task], pixels)
     about |= {"seed": seed, "loop": loop, "pixels": pixels, "paper": paper_of(task, made["num_demonstrations"], loop)}
-    about |= {"plan": asdict(config), "provenance": provenance(group.device)}
+    about |= {"plan": asdict(planner.options), "provenance": provenance(group.device)}
     mine = len(group.share(goals))
+    remark(describe_precision(config.precision, group.device))
     if group.size == 1:
         remark(choose_threads())
     with bar(shown=group.first) as progress:
@@ -135,6 +137,7 @@ def compare_with(
 def reproduce_(
     table: Positional[Literal["table-2", "two-points", "table-3", "two-circles", "all"]],
     size: Literal["tiny", "small", "paper"] = "small",
+    as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
     seeds: int = 3,
     demonstrations: tuple[int, ...] = (100, 50, 25),
     device: Device = "auto",
@@ -146,6 +149,7 @@ def reproduce_(
     Args:
         table: which of the paper's tables, or all.
         size: of the network.
+        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas.
         seeds: how many of the three training seeds.
         demonstrations: which numbers of demonstrations.
         device: what computes; auto is a GPU where there is one.
@@ -168,7 +172,8 @@ def reproduce_(
             if not console.is_terminal:
                 print(text, file=sys.stderr, flush=True)
 
-        chosen = [cell for cell in cells_of(table, size) if cell.seed < seeds and cell.num_demonstrations in demonstrations]
+        cells = [replace(cell, preset=as_) for cell in cells_of(table, size)]
+        chosen = [cell for cell in cells if cell.seed < seeds and cell.num_demonstrations in demonstrations]
         reproduce(chosen, place=torch_device(device), work=work, out=out, tell=tell, progress=learn)
     print(f"{len(chosen)} cells are in {out}; `preimage report` makes the page of them")
 

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from preimage.compute.devices import CPU
+from preimage.compute.precision import resolve_precision
 from preimage.compute.processes import ProcessGroup
 from preimage.data.dataset import fingerprint, load, save
 from preimage.evaluation.behaviour_cloning import clone
@@ -94,6 +95,7 @@ def planner_of(
     """The cell's trained model, planning by its preset; a training that was stopped goes on."""
     run, options = work / "runs" / cell.run, PlanOptions.of(cell.preset)
     network, config = network_of(cell), learning_of(cell)
+    config = replace(config, precision=resolve_precision(config.precision, place))
     finished, begun = (run / "README.md").exists(), (run / "resume.pt").exists()
     if finished or begun:
         refuse_other_run(run, demonstrations, network, config)

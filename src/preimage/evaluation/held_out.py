@@ -178,7 +178,8 @@ def compare_run(
     chosen = {episode: recorded[episode] for episode in episodes}
     compared = compare(planner, chosen, shown=shown, progress=report, group=group)
     result = result_of_comparison(
-        compared, about_run(run, folder, data, opened.demonstrations) | {"plan": asdict(options), "provenance": provenance(group.device)}
+        compared,
+        about_run(run, folder, data, opened.demonstrations) | {"plan": asdict(planner.options), "provenance": provenance(group.device)},
     )
     if not group.first:
         return []

@@ -109,6 +109,7 @@ def train(
     model_config, config = model_config or ModelConfig.small(), config or TrainConfig()
     if resume and folder is None:
         raise ValueError("resume goes on with the run in a folder, and no folder is given")
+    config = replace(config, precision=resolve_precision(config.precision, group.device))  # a resumed run goes on as it began
     model_config = replace(model_config, rate_hz=min([model_config.rate_hz, *(one.rate_hz for one in demonstrations)]))
     sequences = pad(demonstrations, rate_hz=model_config.rate_hz, rest_steps=config.rest_steps)
     model = PDVMRNN(model_config, sensors_of(demonstrations), len(sequences), config.seed)
