@@ -65,17 +65,17 @@ class PlanConfig:
 
     modalities: Modalities = "vision"
     """The modalities of the goal that are used; the rest of a goal percept is not looked at."""
-    candidates: int = 6
+    candidates: int = 8
     """Intentions regressed side by side, each from its own initial guess; the best is the plan's."""
-    initial_deviation: float = 0.2
+    initial_deviation: float = 0.3
     """Standard deviation of a random initial guess, in those of the training intentions: from the middle all of them are near."""
     screening: int = 15
     """Iterations after which only the finalists go on."""
     finalists: int = 2
     """Candidates that go on, those with the least error."""
-    iterations: int = 60
+    iterations: int = 50
     """Iterations at the most."""
-    learning_rate: float = 0.1
+    learning_rate: float = 0.3
     """Adam's rate, in standard deviations of the training intentions."""
     intention_cost: float = 0.001
     """Charge for the squared size of the intention, in standard deviations: how near the search stays to what was learned."""
