@@ -50,6 +50,7 @@ def join(legs: Sequence[Plan]) -> Plan:
         error=sum(leg.error for leg in legs),
         errors=np.concatenate([leg.errors for leg in legs]),
         stopped=worst.stopped,
+        unexplained=max((leg.unexplained for leg in legs if leg.unexplained is not None), default=None),
         seconds=sum(leg.seconds for leg in legs),
         intention=np.concatenate([leg.intention for leg in legs]),
         imagined_joints=None,
