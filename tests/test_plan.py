@@ -49,7 +49,7 @@ def test_the_paper_plans_without_memory(trained: PDVMRNN, memory: DemonstrationM
 def test_a_model_holds_no_memory(trained: PDVMRNN) -> None:
     weights = {name for name, _ in trained.named_parameters()}
     others = {name for name in trained.state_dict() if name not in weights and not name.startswith("coding.")}
-    assert others == {"home_pixels", "home_joints", "longest"}
+    assert others == {"home_pixels", "home_joints", "longest", "shortest"}
 
 
 def test_the_papers_training_leaves_no_memory_and_its_plans_ask_for_none(tmp_path: Path) -> None:
