@@ -129,10 +129,10 @@ def _draw_title(drawing: Figure, plan: Plan, trial: Trial | None, total_inches: 
     if trial is not None:
         title = f"{'Success' if trial.success else 'Failure'}: {trial.deviation_m * 100:.1f} cm from the goal"
         colour = SUCCESS if trial.success else FAILURE
-    details = f"arrival step {plan.arrival_step} of {len(plan)}  ·  prediction error {plan.error:.4g}"
+    details = f"arrival step {plan.arrival_step} of {len(plan)}  ·  error {plan.error:.3g}"
     if plan.unexplained is not None and plan.verdict:
-        details += f" ({100 * plan.unexplained:.1f} % of staying, {plan.verdict.value})"
-    details += f"  ·  planned in {plan.seconds:.1f} s"
+        details += f" ({100 * plan.unexplained:.1f} %, {plan.verdict.value})"
+    details += f"  ·  {plan.seconds:.1f} s"
     drawing.text(0.1, 1 - 0.16 / total_inches, title, fontsize=14, weight="bold", color=colour, va="top")
     drawing.text(0.98, 1 - 0.2 / total_inches, details, fontsize=9.5, color=MUTED, va="top", ha="right")
 
