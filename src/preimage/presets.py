@@ -10,7 +10,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
@@ -206,11 +205,7 @@ class Planner:
         self.model, self.memory = model, memory
         options = options or (PlanOptions.full() if memory else PlanOptions.regression())
         self.options = replace(options, precision=resolve_precision(options.precision, model.home_pixels.device))
-        _ = self.ideas
-
-    @cached_property
-    def ideas(self) -> "Ideas":
-        return self.options.ideas(self.memory)
+        self.ideas = self.options.ideas(memory)
 
     def plan(self, *, goal: "Percept", start: "Percept | None" = None) -> "Plan":
         """Imagine a way from the start percept to the goal (`method.plan.plan`)."""

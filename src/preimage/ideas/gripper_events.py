@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from preimage.method.prediction_error import steps_needed, summed_errors
 from preimage.method.seam import ErrorTerm, Problem
 from preimage.network.coding import JointCoding
 from preimage.network.pdvmrnn import Generated
@@ -76,7 +77,7 @@ class AfterEvents:
     coding: JointCoding
 
     def errors(self, generated: Generated) -> Float[Tensor, "B T"]:
-        error = torch.stack([term.errors(generated) for term in self.terms]).sum(0)
+        error = summed_errors(self.terms, generated)
         events = events_in(self.coding.decode(generated.log_codes.detach().exp()), self.joint, self.coding)
         counts = events.cumsum(1)
         before = (counts < self.num_events) & (counts[:, -1:] == self.num_events)
@@ -86,8 +87,7 @@ class AfterEvents:
         return torch.cat([term.residuals(generated, arrival) for term in self.terms], dim=1)
 
     def num_steps(self, arrival: Int[Tensor, " B"]) -> int | None:
-        needed = [term.num_steps(arrival) for term in self.terms]
-        return None if None in needed else max(each for each in needed if each is not None)
+        return steps_needed(self.terms, arrival)
 
 
 @dataclass(frozen=True)

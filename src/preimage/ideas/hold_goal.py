@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from preimage.method.prediction_error import summed_errors
 from preimage.method.seam import Draft, ErrorTerm, Objective, Problem
 from preimage.network.pdvmrnn import Generated
 
@@ -31,7 +32,7 @@ class Held:
     terms: Sequence[ErrorTerm]
 
     def errors(self, generated: Generated) -> Float[Tensor, "B T"]:
-        return resting(torch.stack([term.errors(generated) for term in self.terms]).sum(0))
+        return resting(summed_errors(self.terms, generated))
 
     def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
         later = torch.arange(generated.pixels.shape[1], device=arrival.device) >= arrival[:, None]

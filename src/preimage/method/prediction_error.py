@@ -123,6 +123,17 @@ def goal_terms(goal: Sensed, modalities: Modalities) -> list[ErrorTerm]:
     return [GoalError(goal, modality) for modality in ("vision", "joints") if modalities in (modality, "both")]
 
 
+def summed_errors(terms: Sequence[ErrorTerm], generated: Generated) -> Float[Tensor, "B T"]:
+    """The sum of the terms' errors if the goal is reached at each of the imagined steps."""
+    return torch.stack([term.errors(generated) for term in terms]).sum(0)
+
+
+def steps_needed(terms: Sequence[ErrorTerm], arrival: Int[Tensor, " B"]) -> int | None:
+    """How many steps have to be imagined to know the residuals of all terms; None: all up to the horizon."""
+    needed = [term.num_steps(arrival) for term in terms]
+    return None if None in needed else max(each for each in needed if each is not None)
+
+
 @dataclass(frozen=True, eq=False)
 class ToGoal:
     """Equation 2: the first percept as observed, and the goal at the step that shows it best.
@@ -147,7 +158,7 @@ class ToGoal:
 
     def goal_error(self, generated: Generated) -> Float[Tensor, "B T"]:
         """The goal's part if it is reached at each of the imagined steps."""
-        return torch.stack([term.errors(generated) for term in self.terms]).sum(0)
+        return summed_errors(self.terms, generated)
 
     def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
         """The prediction error and the arrival step. The delay penalty picks the step; it does not enter the error."""
@@ -164,8 +175,7 @@ class ToGoal:
 
     def num_steps(self, arrival: Int[Tensor, " B"]) -> int | None:
         """Up to the latest arrival, unless a term looks further."""
-        needed = [term.num_steps(arrival) for term in self.terms]
-        return None if None in needed else max(each for each in needed if each is not None)
+        return steps_needed(self.terms, arrival)
 
     @property
     def to_explain(self) -> float:
