@@ -13,7 +13,7 @@ import pytest
 
 import preimage
 from preimage import cli
-from preimage.method.train import NonFinite
+from preimage.method.learner import NonFinite
 from test_output_folders import make_clone, tree
 
 QUICK = ["--iterations", "1", "--horizon", "4"]

@@ -9,9 +9,10 @@ from changes import apart, learning_nothing
 from preimage.compute.devices import CPU, torch_device
 from preimage.compute.processes import ProcessGroup
 from preimage.method.config import PlanConfig
-from preimage.method.plan import home, problem_of
+from preimage.method.plan import problem_of
 from preimage.method.train import train
 from preimage.network.config import ModelConfig
+from preimage.network.inputs import home
 from preimage.network.pdvmrnn import PDVMRNN, Generated
 from test_train import CONFIG, demonstrations
 

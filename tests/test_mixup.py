@@ -6,8 +6,8 @@ import torch
 from preimage.data.sequences import Sequences
 from preimage.ideas.image_features import BLUR, blurred
 from preimage.ideas.mixup import Mixup, coarse
+from preimage.method.batches import plain_batch
 from preimage.method.seam import Batch
-from preimage.method.train import plain_batch
 
 
 def sequences() -> Sequences:

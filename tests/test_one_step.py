@@ -7,9 +7,11 @@ import pytest
 import torch
 
 from bars import PAPER, bar, tiny_double
+from preimage.ideas.no_goal import imagine_without_goal
 from preimage.method.config import PlanConfig
 from preimage.method.one_step import follow
-from preimage.method.plan import as_inputs, imagine_without_goal, plan
+from preimage.method.plan import plan
+from preimage.network.inputs import as_inputs
 from preimage.network.intention import unflatten
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import Planner

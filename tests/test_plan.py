@@ -11,10 +11,12 @@ import torch
 import preimage as pi
 from bars import EXACT, PAPER, REGRESSION, bar, bars, objective_of, problem_to, tiny_double
 from preimage.ideas.memory import DemonstrationMemory
+from preimage.ideas.no_goal import imagine_without_goal
 from preimage.method.config import PlanConfig, TrainConfig
-from preimage.method.plan import home, imagine_without_goal, plan, random_guesses
+from preimage.method.plan import plan, random_guesses
 from preimage.method.train import train
 from preimage.network.config import ModelConfig
+from preimage.network.inputs import home
 from preimage.network.intention import unflatten
 from preimage.network.pdvmrnn import PDVMRNN, Generated
 from preimage.presets import MEMORY, Planner, PlanOptions, load_planner

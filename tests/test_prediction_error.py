@@ -7,7 +7,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from preimage.method.prediction_error import VISUAL_WEIGHT, SequenceError, arrival_step, proprioceptive_error, sequence_error, visual_error
+from preimage.method.prediction_error import SequenceError, arrival_step, sequence_error
+from preimage.network.divergence import VISUAL_WEIGHT, proprioceptive_error, visual_error
 from preimage.network.pdvmrnn import Generated
 
 distributions = st.lists(st.floats(0.01, 1), min_size=4, max_size=4).map(lambda shares: distribution_of(torch.tensor(shares).double()))

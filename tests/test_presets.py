@@ -16,8 +16,9 @@ from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.restarts import Restarts
 from preimage.method.config import PlanConfig, TrainConfig
 from preimage.method.error_regression import adam
-from preimage.method.plan import home, random_guesses
+from preimage.method.plan import random_guesses
 from preimage.network.config import ModelConfig
+from preimage.network.inputs import home
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import MEMORY, Planner, PlanOptions, TrainOptions, load_memory, load_planner, network_config
 from preimage.storage.runs import write_tensors

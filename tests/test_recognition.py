@@ -8,8 +8,9 @@ import torch
 
 from bars import EXACT, PAPER, REGRESSION, bar, nearly, problem_to
 from preimage.ideas.nearest_training import NearestSequences
-from preimage.method.plan import as_inputs, recognise
+from preimage.method.plan import recognise
 from preimage.method.prediction_error import ToSequence
+from preimage.network.inputs import as_inputs
 from preimage.network.pdvmrnn import PDVMRNN, Generated, InputSequence
 from preimage.presets import Planner, PlanOptions
 from preimage.records import Demonstration, Stopped

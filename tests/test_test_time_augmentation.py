@@ -8,8 +8,8 @@ import torch
 
 from bars import REGRESSION, bar
 from preimage.ideas.test_time_augmentation import TestTimeAugmentation, shifted
-from preimage.method.plan import as_inputs
 from preimage.network.coding import to_frames
+from preimage.network.inputs import as_inputs
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import Planner, PlanOptions
 from preimage.records import Percept

@@ -14,18 +14,12 @@ from preimage import presets
 from preimage.data.sequences import pad
 from preimage.ideas.later_starts import LaterStarts
 from preimage.ideas.mixup import Mixup
+from preimage.method.batches import batch_of, plain_batch
 from preimage.method.config import TrainConfig
+from preimage.method.initialisation import spread_intentions, start_from_demonstrations
+from preimage.method.learner import NonFinite, share_of_rate
 from preimage.method.seam import Augmentation, Batch
-from preimage.method.train import (
-    NonFinite,
-    Progress,
-    batch_of,
-    plain_batch,
-    share_of_rate,
-    spread_intentions,
-    start_from_demonstrations,
-    train,
-)
+from preimage.method.train import Progress, train
 from preimage.network.config import ModelConfig
 from preimage.network.intention import FreeTable, LatentTable
 from preimage.network.pdvmrnn import PDVMRNN

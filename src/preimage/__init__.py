@@ -15,10 +15,10 @@ if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it to
     from preimage.ideas.memory import DemonstrationMemory
     from preimage.ideas.waypoints import join
     from preimage.method.config import PlanConfig, TrainConfig
+    from preimage.method.learner import NonFinite
     from preimage.method.one_step import follow
     from preimage.method.plan import plan, recognise
     from preimage.method.seam import Ideas
-    from preimage.method.train import NonFinite
     from preimage.network.config import ModelConfig, Sensors
     from preimage.network.intention import IntentionState
     from preimage.network.pdvmrnn import PDVMRNN
@@ -94,7 +94,7 @@ ROOMS = {
     "method.one_step": ("follow",),
     "method.plan": ("plan", "recognise"),
     "method.seam": ("Ideas",),
-    "method.train": ("NonFinite",),
+    "method.learner": ("NonFinite",),
     "network.config": ("ModelConfig", "Sensors"),
     "network.intention": ("IntentionState",),
     "network.pdvmrnn": ("PDVMRNN",),

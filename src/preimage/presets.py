@@ -220,8 +220,8 @@ class Planner:
         return plan_in_turn(self.plan, start=start, goals=goals)
 
     def imagine_without_goal(self, start: "Percept") -> "Plan":
-        """What is imagined when nothing is wanted (`method.plan.imagine_without_goal`)."""
-        from preimage.method.plan import imagine_without_goal
+        """What is imagined when nothing is wanted (`ideas.no_goal`)."""
+        from preimage.ideas.no_goal import imagine_without_goal
         from preimage.method.seam import Ideas
 
         augmentation = self.options.augmentation()

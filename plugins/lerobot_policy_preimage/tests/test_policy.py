@@ -13,7 +13,7 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_policy_preimage import PreimageConfig, PreimagePolicy
 from lerobot_policy_preimage.modeling_preimage import options_of
-from preimage.method.plan import home
+from preimage.network.inputs import home
 from preimage.presets import Planner, PlanOptions
 from preimage.records import Percept
 from preimage.storage.runs import find_run, load_model, read_shown

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor, distributed, nn
 
 from preimage.compute.choices import Device
@@ -62,6 +62,14 @@ class ProcessGroup:
             with lost_processes_raise():
                 distributed.all_reduce(values)
         return values
+
+    def add_rows(self, values: Float[Tensor, "K S"], rows: Int[Tensor, " S"], count: int) -> Float[Tensor, "K count"]:
+        """The values of all rows, of which each process has its own.
+
+        Raises:
+            ProcessLost: as in `add`.
+        """
+        return self.add(values.new_zeros(len(values), count).index_copy_(1, rows.to(values.device), values))
 
     def add_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
         """Every gradient becomes its sum over all processes, by one exchange."""

@@ -14,9 +14,9 @@ from torch import Tensor, nn
 
 from preimage.compute.devices import CPU
 from preimage.data.sequences import pad, sensors_of
-from preimage.method.prediction_error import proprioceptive_error
 from preimage.network.coding import JointCoding, to_pixels
 from preimage.network.config import Sensors
+from preimage.network.divergence import proprioceptive_error
 from preimage.network.pdvmrnn import Inputs
 from preimage.records import Demonstration, Percept
 

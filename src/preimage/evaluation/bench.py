@@ -23,9 +23,11 @@ from preimage.compute.freed_memory import keep_freed_memory
 from preimage.compute.precision import Resolved, computes_bfloat16, describe_precision, instruction_set, resolve_precision
 from preimage.compute.processes import ProcessGroup
 from preimage.data.sequences import Sequences
+from preimage.method.batches import error_of, plain_batch
 from preimage.method.config import PlanConfig, TrainConfig
+from preimage.method.learner import Learner, optimiser_of
 from preimage.method.plan import plan
-from preimage.method.train import Learner, Progress, error_of, optimiser_of, plain_batch, train
+from preimage.method.train import Progress, train
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import Planner, PlanOptions, TrainOptions, load_planner

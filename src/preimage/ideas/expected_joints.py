@@ -10,8 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from preimage.ideas.memory import DemonstrationMemory, Estimate
-from preimage.method.prediction_error import at_step
-from preimage.method.seam import ErrorTerm, Problem
+from preimage.method.seam import ErrorTerm, Problem, at_step
 from preimage.network.coding import JointCoding
 from preimage.network.pdvmrnn import Generated
 

@@ -19,8 +19,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from preimage.method.prediction_error import steps_needed, summed_errors
-from preimage.method.seam import ErrorTerm, Problem
+from preimage.method.seam import ErrorTerm, Problem, steps_needed, summed_errors
 from preimage.network.coding import JointCoding
 from preimage.network.pdvmrnn import Generated
 

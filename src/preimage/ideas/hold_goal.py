@@ -14,8 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from preimage.method.prediction_error import summed_errors
-from preimage.method.seam import Draft, ErrorTerm, Objective, Problem
+from preimage.method.seam import Draft, ErrorTerm, Objective, Problem, summed_errors
 from preimage.network.pdvmrnn import Generated
 
 

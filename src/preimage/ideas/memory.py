@@ -21,9 +21,9 @@ from preimage.data.sequences import Sequences
 from preimage.ideas.gripper_events import find_events
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
 from preimage.ideas.kriging import Prediction, View, in_own_units, krige
-from preimage.method.prediction_error import VISUAL_WEIGHT, proprioceptive_error, sensed_log
 from preimage.method.seam import Objective, Problem
 from preimage.network.coding import JointCoding, to_pixels
+from preimage.network.divergence import VISUAL_WEIGHT, proprioceptive_error, sensed_log
 from preimage.network.pdvmrnn import Sensed
 
 SAME_JOINTS = 0.1

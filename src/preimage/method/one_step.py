@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.method.plan import as_inputs
+from preimage.network.inputs import as_inputs
 from preimage.network.intention import unflatten
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Percept, Plan

@@ -18,10 +18,11 @@ from preimage.method.config import Modalities, PlanConfig
 from preimage.method.error_regression import adam
 from preimage.method.prediction_error import ToGoal, ToSequence, goal_terms
 from preimage.method.seam import Draft, ErrorTerm, Ideas, Objective, Problem, Regression
-from preimage.network.coding import to_frames, to_pixels
+from preimage.network.coding import to_frames
+from preimage.network.inputs import as_inputs, home
 from preimage.network.intention import IntentionState
-from preimage.network.pdvmrnn import PDVMRNN, Generated, Sensed
-from preimage.records import Demonstration, Percept, Plan, Stopped, number_of
+from preimage.network.pdvmrnn import PDVMRNN, Generated
+from preimage.records import Demonstration, Percept, Plan, Stopped
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,19 +113,6 @@ def plan_of(draft: Draft, problem: Problem, *, start: Percept, goal: Percept, er
     )
 
 
-def imagine_without_goal(model: PDVMRNN, start: Percept, *, config: PlanConfig | None = None, ideas: Ideas | None = None) -> Plan:
-    """What the model imagines when nothing is wanted: its intention at the prior mean. The baseline that shows what a goal buys."""
-    began = time.perf_counter()
-    problem = problem_of(model, start, home(model), config or PlanConfig())
-    objective = ToGoal(problem.start, goal_terms(problem.start, "vision"))
-    draft = draft_of(model.intention_table.prior_mean(1), problem, objective)
-    for correct in (ideas or Ideas()).corrections:
-        draft = correct(draft, problem, objective)
-    draft = replace(draft, error=float(objective.start_error(draft.generated)[0]), arrival=problem.num_steps - 1)
-    seconds = time.perf_counter() - began
-    return plan_of(draft, problem, start=start, goal=Percept(), errors=np.zeros(0), stopped=Stopped.ITERATIONS, seconds=seconds)
-
-
 def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfig | None = None, ideas: Ideas | None = None) -> Recognition:
     """Infer the intention of a whole sensed sequence, so that the model regenerates it in closed loop (section II-C, equation 1).
 
@@ -144,37 +132,9 @@ def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfi
     return Recognition(found.best, generated, float(error), found.errors.double().cpu().numpy(), found.stopped)
 
 
-def home(model: PDVMRNN) -> Percept:
-    """The mean first percept of the demonstrations: where a plan starts when nothing else is said."""
-    return Percept(to_frames(model.home_pixels).cpu().numpy(), model.home_joints.double().cpu().numpy())
-
-
 def problem_of(model: PDVMRNN, start: Percept, goal: Percept, config: PlanConfig) -> Problem:
     """From a start to a goal; a modality of the goal that is not used is filled in and never looked at."""
     used: dict[Modalities, tuple[str, ...]] = {"vision": ("frame",), "joints": ("joints",), "both": ("frame", "joints")}
     looked_at = replace(home(model), **{name: getattr(goal, name) for name in used[config.modalities]})
     asked = torch.from_numpy(goal.joints) if config.modalities != "vision" and goal.joints is not None else None
     return Problem(model, as_inputs(model, start, name="start"), as_inputs(model, looked_at, name="goal"), config, asked)
-
-
-def as_inputs(model: PDVMRNN, percept: Percept, *, name: str) -> Sensed:
-    """Pixels (C, H, W) and codes (J, K) of a percept.
-
-    Raises:
-        ValueError: it has no frame or no joints, they are of another size than the model's, or not finite.
-    """
-    sensors = model.sensors
-    wanted = sensors.height, sensors.width, sensors.channels
-    if percept.frame is None or percept.joints is None:
-        raise ValueError(f"the {name} has no {'frame' if percept.frame is None else 'joints'}: give one, or plan for the other modality")
-    if percept.frame.shape != wanted:
-        raise ValueError(f"the {name}'s frame is {percept.frame.shape} (height, width, channels), the model sees {wanted}")
-    if len(percept.joints) != sensors.num_joints:
-        raise ValueError(f"the {name} has {number_of(len(percept.joints), 'joint')}, the model was trained with {sensors.num_joints}")
-    if not np.isfinite(percept.joints).all():
-        raise ValueError(f"the {name}'s joints are not finite: {percept.joints.tolist()}")
-    if percept.frame.dtype != np.uint8:
-        raise ValueError(f"the {name}'s frame holds {percept.frame.dtype}: give 8-bit pixels, 0 to 255 (uint8)")
-    joints = torch.as_tensor(percept.joints, dtype=model.home_joints.dtype, device=model.home_joints.device)
-    frame = torch.from_numpy(np.ascontiguousarray(percept.frame)).to(model.home_pixels.device)
-    return to_pixels(frame).to(model.home_pixels.dtype), model.coding.encode(joints)

@@ -1,9 +1,5 @@
 """The prediction error: of whole sequences (training, recognition) and of a start and a goal alone (planning).
 
-Vision is a squared error summed over pixels, the motors a Kullback-Leibler divergence summed over joints, KL(target || predicted); the
-paper writes the arguments the other way round, see docs/paper.md. Frames of another size are charged as if they had 64x64 pixels, so
-that the balance of the two modalities does not depend on the camera.
-
 >>> import torch
 >>> error = torch.tensor([[9.0, 4.0, 4.0, 8.0]])
 >>> int(arrival_step(error, delay_penalty=1.01))  # the first of two equal errors: arriving sooner is better
@@ -19,44 +15,16 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from preimage.method.config import Modalities
-from preimage.method.seam import ErrorTerm
+from preimage.method.seam import ErrorTerm, at_step, steps_needed, summed_errors
+from preimage.network.divergence import (
+    VISUAL_WEIGHT,
+    proprioceptive_error,
+    proprioceptive_residuals,
+    sensed_log,
+    visual_error,
+    visual_residuals,
+)
 from preimage.network.pdvmrnn import Generated, InputSequence, Sensed
-
-VISUAL_WEIGHT = 1 / 40
-"""Weight of the visual error beside the joints' KL: chosen so that both fall together; the paper does not say."""
-REFERENCE_PIXELS = 64 * 64
-
-
-def pixel_scale(frames: Float[Tensor, "*batch C H W"]) -> float:
-    """What a pixel counts, so that all frames count as if they had 64x64 of them."""
-    return REFERENCE_PIXELS / frames.shape[-3:].numel()
-
-
-def visual_error(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "*batch"]:
-    """Squared error summed over pixels, as of a frame of 64x64."""
-    return pixel_scale(target) * (predicted - target).square().sum((-1, -2, -3))
-
-
-def proprioceptive_error(log_predicted: Float[Tensor, "*batch J K"], target: Float[Tensor, "*#batch J K"]) -> Float[Tensor, "*batch"]:
-    """KL(target || predicted) of the codes, summed over joints (nats)."""
-    return (torch.special.xlogy(target, target) - target * log_predicted).sum((-1, -2))
-
-
-def sensed_log(codes: Float[Tensor, "*batch J K"]) -> Float[Tensor, "*batch J K"]:
-    """Log codes of what was sensed, which may hold zeros, as if they were predicted."""
-    return codes.clamp(min=1e-12).log()
-
-
-def visual_residuals(predicted: Float[Tensor, "*batch C H W"], target: Float[Tensor, "*#batch C H W"]) -> Float[Tensor, "..."]:
-    """Numbers whose squares sum to the weighted visual error."""
-    return (VISUAL_WEIGHT * pixel_scale(target)) ** 0.5 * (predicted - target)
-
-
-def proprioceptive_residuals(
-    log_predicted: Float[Tensor, "*batch J K"], target: Float[Tensor, "*#batch J K"]
-) -> Float[Tensor, "*batch J K"]:
-    """Numbers whose squares sum to the KL to second order: sqrt(2) times the difference of the roots (Hellinger)."""
-    return 2**0.5 * ((log_predicted / 2).exp() - target.sqrt())
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +58,6 @@ def arrival_step(goal_error: Float[Tensor, "B T"], *, delay_penalty: float) -> I
     return (goal_error.detach() * delay_penalty**steps).argmin(1)
 
 
-def at_step(generated: Generated, steps: Int[Tensor, " B"]) -> Generated:
-    """One step of each sequence, as sequences of one step."""
-    rows = torch.arange(len(steps), device=steps.device)
-    return Generated(generated.pixels[rows, steps][:, None], generated.log_codes[rows, steps][:, None])
-
-
 @dataclass(frozen=True, eq=False)
 class GoalError:
     """The goal's part of equation 2 in one modality."""
@@ -121,17 +83,6 @@ class GoalError:
 def goal_terms(goal: Sensed, modalities: Modalities) -> list[ErrorTerm]:
     """The goal's part of equation 2; the term of a modality that is not given is left out (section II-D)."""
     return [GoalError(goal, modality) for modality in ("vision", "joints") if modalities in (modality, "both")]
-
-
-def summed_errors(terms: Sequence[ErrorTerm], generated: Generated) -> Float[Tensor, "B T"]:
-    """The sum of the terms' errors if the goal is reached at each of the imagined steps."""
-    return torch.stack([term.errors(generated) for term in terms]).sum(0)
-
-
-def steps_needed(terms: Sequence[ErrorTerm], arrival: Int[Tensor, " B"]) -> int | None:
-    """How many steps have to be imagined to know the residuals of all terms; None: all up to the horizon."""
-    needed = [term.num_steps(arrival) for term in terms]
-    return None if None in needed else max(each for each in needed if each is not None)
 
 
 @dataclass(frozen=True, eq=False)

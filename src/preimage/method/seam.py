@@ -121,6 +121,23 @@ class ErrorTerm(Protocol):
         ...
 
 
+def at_step(generated: Generated, steps: Int[Tensor, " B"]) -> Generated:
+    """One step of each sequence, as sequences of one step."""
+    rows = torch.arange(len(steps), device=steps.device)
+    return Generated(generated.pixels[rows, steps][:, None], generated.log_codes[rows, steps][:, None])
+
+
+def summed_errors(terms: Sequence[ErrorTerm], generated: Generated) -> Float[Tensor, "B T"]:
+    """The sum of the terms' errors if the goal is reached at each of the imagined steps."""
+    return torch.stack([term.errors(generated) for term in terms]).sum(0)
+
+
+def steps_needed(terms: Sequence[ErrorTerm], arrival: Int[Tensor, " B"]) -> int | None:
+    """How many steps have to be imagined to know the residuals of all terms; None: all up to the horizon."""
+    needed = [term.num_steps(arrival) for term in terms]
+    return None if None in needed else max(each for each in needed if each is not None)
+
+
 class Objective(Protocol):
     """What a search lowers: an error, and the same as a sum of squares at a given arrival step."""
 

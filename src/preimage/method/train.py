@@ -6,7 +6,6 @@ resumed gives the same weights, bit for bit on a CPU, as one that never stopped,
 (docs/many_machines.md).
 """
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -15,48 +14,23 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
-from torch import Tensor, nn
+from torch import nn
 
-from preimage.compute.devices import recorded_with_gradients
 from preimage.compute.freed_memory import keep_freed_memory
 from preimage.compute.interrupts import saved_on_interrupt
 from preimage.compute.precision import resolve_precision
 from preimage.compute.processes import ProcessGroup
 from preimage.data.sequences import Sequences, pad, sensors_of
+from preimage.method.batches import batch_of, error_of, plain_batch
 from preimage.method.config import TrainConfig
-from preimage.method.prediction_error import SequenceError, sequence_error
-from preimage.method.seam import Augmentation, Batch
-from preimage.network.coding import to_pixels
+from preimage.method.initialisation import start_from_demonstrations
+from preimage.method.learner import Learner, optimiser_of, share_of_rate, validate_finite
+from preimage.method.prediction_error import SequenceError
+from preimage.method.seam import Augmentation
 from preimage.network.config import ModelConfig
-from preimage.network.intention import IntentionTable, unflatten
-from preimage.network.pdvmrnn import PDVMRNN, Generated
+from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Demonstration
-from preimage.storage.checkpoints import append_to_log, open_run, save_checkpoint, write_non_finite
-
-
-class NonFinite(RuntimeError):
-    """The training met a number that is not finite; the text says where, and what would do."""
-
-
-@dataclass
-class Learner:
-    """What changes while training: network, optimiser and the number of updates done."""
-
-    model: PDVMRNN
-    optimiser: torch.optim.Optimizer
-    update: int = 0
-    augmentations: Sequence[Augmentation] = ()
-    batch_error: Callable[..., tuple[Tensor, ...]] | None = None
-    """`BatchError`, recorded at the first batch."""
-
-    def state(self) -> dict[str, Any]:
-        return {"update": self.update, "model": self.model.state_dict(), "optimiser": self.optimiser.state_dict()}
-
-    def load(self, state: dict[str, Any]) -> None:
-        self.model.load_state_dict(state["model"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.update = state["update"]
+from preimage.storage.checkpoints import append_to_log, open_run, save_checkpoint
 
 
 @dataclass(frozen=True)
@@ -136,63 +110,6 @@ def train(
     return model.requires_grad_(False).eval()
 
 
-def start_from_demonstrations(model: PDVMRNN, sequences: Sequences) -> None:
-    """Start the outputs at the mean percept and the intentions as neighbours where sequences are alike; keep the mean start as home."""
-    pixels, codes = to_pixels(sequences.frames), model.coding.encode(sequences.joints)
-    model.start_from_means(pixels.mean((0, 1)), codes.mean((0, 1)))
-    model.home_pixels.copy_(pixels[:, 0].mean(0))
-    model.home_joints.copy_(sequences.joints[:, 0].mean(0))
-    model.longest.fill_(sequences.frames.shape[1])
-    model.shortest.fill_(sequences.lengths.min())
-    spread_intentions(model.intention_table, codes.flatten(1))
-
-
-def spread_intentions(table: IntentionTable, features: Float[Tensor, "N F"], components: int = 16) -> None:
-    """Start the intentions where alike sequences are neighbours: at their principal components.
-
-    The paper starts them at random. From there, learning first has to find out what an intention could be good for; from here it
-    can begin with the demonstrations themselves.
-    """
-    centred = features - features.mean(0)
-    directions, sizes, _ = torch.linalg.svd(centred, full_matrices=False)
-    components = min(components, len(features))
-    weights = (sizes / sizes[0].clamp(min=1e-9)).clamp(min=0.15)[:components]  # small components count, or no two would differ
-    scores = len(features) ** 0.5 * directions[:, :components] * weights
-    table.start_from(scores, torch.Generator().manual_seed(components))
-
-
-def optimiser_of(model: PDVMRNN, config: TrainConfig) -> torch.optim.Optimizer:
-    """Adam on weights and intentions, each at its own rate."""
-    weights = [value for name, value in model.named_parameters() if not name.startswith("intention_table.")]
-    intentions = list(model.intention_table.parameters())
-    groups = [
-        {"params": weights, "peak": config.learning_rate},
-        {"params": intentions, "peak": config.intention_learning_rate},
-    ]
-    return torch.optim.Adam(groups, betas=(0.9, 0.99))
-
-
-def share_of_rate(update: int, config: TrainConfig) -> float:
-    """The share of the highest rate at an update: a linear rise, then half a cosine down to `final_share`."""
-    rise = min(1.0, (update + 1) / config.warmup_updates)
-    fall = 0.5 * (1 + math.cos(math.pi * update / config.updates))
-    return rise * (config.final_share + (1 - config.final_share) * fall)
-
-
-def batch_of(update: int, num_sequences: int, config: TrainConfig) -> Tensor:
-    """The rows of an update: every sequence once an epoch, in an order drawn from the seed and the epoch."""
-    size = min(config.batch_size, num_sequences)
-    rows = []
-    for position in range(update * size, (update + 1) * size):
-        epoch, place = divmod(position, num_sequences)
-        rows.append(shuffled(num_sequences, config.seed, epoch)[place])
-    return torch.stack(rows)
-
-
-def shuffled(count: int, seed: int, epoch: int) -> Tensor:
-    return torch.randperm(count, generator=torch.Generator().manual_seed(seed * 1_000_003 + epoch))
-
-
 def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run: Path | None, group: ProcessGroup) -> Progress:
     """One step of Adam on one batch, of which this process generates its share."""
     began = time.perf_counter()
@@ -211,9 +128,10 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     optimiser.zero_grad()
     ((error.total + model.config.intention_cost * charge[mine]).sum() / len(batch.rows)).backward()
     group.add_gradients(model.parameters())
-    error = error_of_all(error, mine, len(batch.rows), group)
+    error = SequenceError(*group.add_rows(torch.stack([error.visual, error.proprioceptive]).detach(), mine, len(batch.rows)))
     norm = nn.utils.clip_grad_norm_(optimiser.param_groups[0]["params"], config.gradient_norm)
-    validate_finite(learner, error, charge, norm, run)
+    errors = {"the visual error": error.visual, "the proprioceptive error": error.proprioceptive, "the charge for the intention": charge}
+    validate_finite(learner, errors, norm, run)
     optimiser.step()
     learner.update += 1
     visual, proprioceptive = (each[~batch.blurred].mean().item() for each in (error.visual, error.proprioceptive))
@@ -221,66 +139,3 @@ def one_update(learner: Learner, sequences: Sequences, config: TrainConfig, run:
     if run:
         append_to_log(run, asdict(done))
     return done
-
-
-def plain_batch(rows: Int[Tensor, " B"], sequences: Sequences) -> Batch:
-    """Training sequences as they are."""
-    ones, nowhere = torch.ones(len(rows), 1), torch.zeros(len(rows), dtype=torch.long)
-    return Batch(rows[:, None], ones, sequences.begun_at(rows, nowhere), blurred=nowhere.bool())
-
-
-def error_of(learner: Learner, intention: Float[Tensor, "B D"], batch: Batch, config: TrainConfig) -> SequenceError:
-    """The errors of a batch, by what was recorded at the first one."""
-    given = batch.sequences.frames, batch.sequences.joints, batch.sequences.mask, batch.blurred
-    inputs = [intention, *(each.to(learner.model.pixel_bias.device) for each in given)]
-    if learner.batch_error is None:
-        dtype = getattr(torch, resolve_precision(config.precision, learner.model.pixel_bias.device))
-        learner.batch_error = recorded_with_gradients(BatchError(learner.model, dtype=dtype, blur=batch.blur), inputs)
-    return SequenceError(*learner.batch_error(*inputs))
-
-
-class BatchError(nn.Module):
-    """What an update lowers, as a function of tensors alone, so that a GPU can record it: generate from intentions, and compare."""
-
-    def __init__(self, model: PDVMRNN, *, dtype: torch.dtype, blur: Callable[[Tensor], Tensor] | None = None) -> None:
-        super().__init__()
-        self.model, self.dtype, self.blur = model, dtype, blur
-
-    def forward(
-        self,
-        intention: Float[Tensor, "B D"],
-        frames: UInt8[Tensor, "B T H W C"],
-        joints: Float[Tensor, "B T J"],
-        mask: Float[Tensor, "B T"],
-        blurred: Bool[Tensor, " B"],
-    ) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
-        """The visual and the proprioceptive error of each sequence (`IntentionState.flatten`, angles in rad, 1 where a step counts)."""
-        model = self.model
-        pixels, codes = to_pixels(frames), model.coding.encode(joints.clamp(model.coding.lower, model.coding.upper))
-        intentions = unflatten(intention, model.intention_table.shapes)
-        generated = model.generate_closed_loop(intentions, (pixels[:, 0], codes[:, 0]), num_steps=frames.shape[1], dtype=self.dtype)
-        error = sequence_error(generated, pixels, codes, mask)
-        if self.blur is None:
-            return error.visual, error.proprioceptive
-        coarse = sequence_error(Generated(self.blur(generated.pixels), generated.log_codes), self.blur(pixels), codes, mask)
-        return torch.where(blurred, coarse.visual, error.visual), error.proprioceptive
-
-
-def error_of_all(error: SequenceError, mine: Int[Tensor, " S"], count: int, group: ProcessGroup) -> SequenceError:
-    """The errors of all sequences of an update, of which this process knows its own."""
-    own = torch.stack([error.visual, error.proprioceptive]).detach()
-    return SequenceError(*group.add(own.new_zeros(2, count).index_copy_(1, mine.to(own.device), own)))
-
-
-def validate_finite(learner: Learner, error: SequenceError, charge: Tensor, norm: Tensor, run: Path | None) -> None:
-    """Raises NonFinite, naming the first tensor that is not finite, before it can reach the weights."""
-    suspects = {"the visual error": error.visual, "the proprioceptive error": error.proprioceptive, "the charge for the intention": charge}
-    if all(bool(value.isfinite().all()) for value in (*suspects.values(), norm)):
-        return
-    gradients = {f"the gradient of {name}": p.grad for name, p in learner.model.named_parameters() if p.grad is not None}
-    broken = (name for name, value in (suspects | gradients).items() if not bool(value.isfinite().all()))
-    name = next(broken, "the norm of the gradient")
-    text = f"{name} is not finite at update {learner.update + 1}: a lower learning rate or precision float32 would do"
-    if run:
-        write_non_finite(run, learner.update + 1, name)
-    raise NonFinite(text)
