@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bars import bar
-from preimage.cli import acting, learning, main, measuring
+from preimage.cli import acting, by_preset, learning, main, measuring
 from preimage.evaluation import demo
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.restarts import Restarts
@@ -229,3 +229,17 @@ def test_a_preset_that_does_not_exist_is_refused_on_the_command_line(capsys: pyt
             main([*verb, "--as", "best"])
         assert left.value.code == 2
         assert "paper, regression or full" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "preset"), [(["RUN"], "paper"), (["RUN", "--as", "full"], "full"), (["reach"], "full"), (["nowhere"], "full")]
+)
+def test_what_plans_with_a_run_takes_the_preset_it_was_trained_by(words: list[str], preset: str, tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text('{"preset": "paper"}')
+    asked: dict[str, object] = {}
+
+    def verb(run: str, as_: str = "full", config: PlanOptions = PlanOptions.full()) -> None:  # noqa: B008, frozen
+        asked.update(preset=as_, config=config)
+
+    by_preset(verb, [word.replace("RUN", str(tmp_path)) for word in words])("any")
+    assert asked == {"preset": preset, "config": PlanOptions.of(preset)}

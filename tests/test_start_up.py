@@ -100,5 +100,5 @@ def test_a_missing_argument_is_told_without_what_the_work_needs(verb):
 
 
 def test_how_the_work_is_done_is_said_apart_from_what_comes_of_it(capsys):
-    remark("threads: 1 (2 of 2 cores busy)")
-    assert capsys.readouterr() == ("", "threads: 1 (2 of 2 cores busy)\n")
+    remark("threads: 1 (2 cores, 2 other threads at work)")
+    assert capsys.readouterr() == ("", "threads: 1 (2 cores, 2 other threads at work)\n")

@@ -27,8 +27,8 @@ def test_a_busier_machine_never_gets_more_threads(cores: int, busy: float) -> No
     [
         (0, 8, 4, "threads: 4 (8 cores, none busy)"),
         (0, 2, 2, "threads: 2 (8 cores, none busy)"),
-        (6, 8, 2, "threads: 2 (6 of 8 cores busy)"),
-        (9, 8, 1, "threads: 1 (9 of 8 cores busy)"),
+        (6, 8, 2, "threads: 2 (8 cores, 6 other threads at work)"),
+        (9, 8, 1, "threads: 1 (8 cores, 9 other threads at work)"),
     ],
 )
 def test_torch_gets_what_is_chosen_and_it_is_said(monkeypatch, busy: int, allowed: int, taken: int, line: str) -> None:

@@ -11,13 +11,13 @@ import pytest
 import torch
 
 from preimage import presets
-from preimage.data.sequences import pad
+from preimage.data.sequences import pad, sensors_of
 from preimage.ideas.later_starts import LaterStarts
 from preimage.ideas.mixup import Mixup
 from preimage.method.batches import batch_of, plain_batch
 from preimage.method.config import TrainConfig
 from preimage.method.initialisation import spread_intentions, start_from_demonstrations
-from preimage.method.learner import NonFinite, share_of_rate
+from preimage.method.learner import Learner, NonFinite, optimiser_of, share_of_rate, validate_finite
 from preimage.method.seam import Augmentation, Batch
 from preimage.method.train import Progress, train
 from preimage.network.config import ModelConfig
@@ -336,3 +336,12 @@ def test_an_interrupted_training_leaves_its_memory(tmp_path: Path) -> None:
         presets.train(demonstrations(), ModelConfig.tiny(), config=TrainOptions(updates=9), folder=tmp_path / "run", progress=stop)
     assert load_memory(tmp_path / "run").num_events == 0
     assert len(load_memory(tmp_path / "run").final_joints) == 4
+
+
+def test_a_gradient_of_the_intentions_that_is_not_finite_stops_the_training_before_it_reaches_them() -> None:
+    model = PDVMRNN(ModelConfig.tiny(), sensors_of(demonstrations()), num_sequences=2)
+    rows = next(model.intention_table.parameters())
+    rows.grad = torch.full_like(rows, torch.nan)
+    learner = Learner(model, optimiser_of(model, CONFIG))
+    with pytest.raises(NonFinite, match=r"the gradient of intention_table\.mean is not finite at update 1"):
+        validate_finite(learner, {"the visual error": torch.zeros(2)}, torch.tensor(1.0), None)

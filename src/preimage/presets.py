@@ -11,7 +11,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self, get_args
 
 from preimage.compute.precision import resolve_precision
 from preimage.method.config import PlanConfig, TrainConfig
@@ -34,6 +34,7 @@ MEMORY = "memory.safetensors"
 """Where a run keeps the memory of its demonstrations."""
 Preset = Literal["paper", "regression", "full"]
 """paper: the paper's method alone; regression: network and search without memory; full: all ideas."""
+PRESETS: tuple[Preset, ...] = get_args(Preset)
 SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.table_1}
 """Sizes of the network, with a latent intention."""
 
@@ -136,7 +137,7 @@ class PlanOptions(PlanConfig):
         Raises:
             ValueError: there is no such preset.
         """
-        if preset not in ("paper", "regression", "full"):
+        if preset not in PRESETS:
             raise ValueError(f"{preset} is no preset: give paper, regression or full")
         return getattr(cls, preset)()
 

@@ -3,6 +3,7 @@
 A verb's room is loaded when the verb is known, for torch, matplotlib and mujoco take seconds to load and a misspelt word needs none.
 """
 
+import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from functools import partial
 from importlib import import_module
 from inspect import signature
 from itertools import pairwise
+from pathlib import Path
 
 from preimage.cli.errors import fail, one_sentence
 
@@ -64,15 +66,32 @@ def run(verb: str, arguments: list[str]) -> None:
 
 
 def by_preset(function: Callable[..., None], arguments: list[str]) -> Callable[..., None]:
-    """The verb with the defaults of the preset that `--as` names, so that each of them can be changed after it."""
+    """The verb with the defaults of the preset that `--as` names, so that each of them can be changed after it.
+
+    What plans with a run and names none takes the preset that the run was trained by.
+    """
     from preimage.presets import PlanOptions, TrainOptions
 
     named = [value for word, value in pairwise([*arguments, ""]) if word == "--as"]
     named += [word.removeprefix("--as=") for word in arguments if word.startswith("--as=")]
-    kind = getattr(signature(function).parameters.get("config"), "default", None)
+    parameters = signature(function).parameters
+    kind = getattr(parameters.get("config"), "default", None)
+    if not named and isinstance(kind, PlanOptions) and "run" in parameters:
+        named = [preset for word in arguments[:1] if (preset := preset_of(Path(word)))]
     if not named or not isinstance(kind, PlanOptions | TrainOptions):
         return function
-    return partial(function, config=type(kind).of(named[-1]))
+    return partial(function, as_=named[-1], config=type(kind).of(named[-1]))
+
+
+def preset_of(run: Path) -> str | None:
+    """The preset that a run folder says it was trained by; None where there is no such folder or it does not say."""
+    from preimage.presets import PRESETS
+
+    try:
+        preset = json.loads((run / "config.json").read_text(encoding="utf-8"))["preset"]
+    except (OSError, ValueError, KeyError, TypeError):  # the verb says what is wrong with a run
+        return None
+    return preset if preset in PRESETS else None
 
 
 def overview() -> str:

@@ -135,11 +135,13 @@ def compare_with(
 
 
 def reproduce_(
-    table: Positional[Literal["table-2", "two-points", "table-3", "two-circles", "all"]],
+    table: Positional[Literal["table-2", "two-points", "table-3", "two-circles", "all", "ablation"]],
     size: Literal["tiny", "small", "paper"] = "small",
     as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
     seeds: int = 3,
     demonstrations: tuple[int, ...] = (100, 50, 25),
+    tasks: tuple[str, ...] = (),
+    goals: int | None = None,
     device: Device = "auto",
     work: Path = Path("runs/reproduce"),
     out: Path = Path("results"),
@@ -147,16 +149,19 @@ def reproduce_(
     """Get the paper's numbers again, cell by cell; what was stopped goes on where it was.
 
     Args:
-        table: which of the paper's tables, or all.
+        table: which of the paper's tables, or all; ablation: what each idea brings, by all presets.
         size: of the network.
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas.
         seeds: how many of the three training seeds.
         demonstrations: which numbers of demonstrations.
+        tasks: which tasks; by default all of the table.
+        goals: test goals a cell; by default as many as the paper's.
         device: what computes; auto is a GPU where there is one.
         work: folder for demonstrations and runs.
         out: folder for a JSON file a cell.
     """
     from preimage.compute.devices import torch_device
+    from preimage.evaluation.ablation import ablate
     from preimage.evaluation.experiments import reproduce
     from preimage.evaluation.recipes import cells_of
     from preimage.method.train import Progress as Told
@@ -172,9 +177,11 @@ def reproduce_(
             if not console.is_terminal:
                 print(text, file=sys.stderr, flush=True)
 
-        cells = [replace(cell, preset=as_) for cell in cells_of(table, size)]
+        cells = [replace(cell, preset=as_, goals=goals) for cell in cells_of(table, size)]
         chosen = [cell for cell in cells if cell.seed < seeds and cell.num_demonstrations in demonstrations]
-        reproduce(chosen, place=torch_device(device), work=work, out=out, tell=tell, progress=learn)
+        chosen = [cell for cell in chosen if not tasks or cell.task in tasks]
+        run = ablate if table == "ablation" else reproduce
+        run(chosen, place=torch_device(device), work=work, out=out, tell=tell, progress=learn)
     print(f"{len(chosen)} cells are in {out}; `preimage report` makes the page of them")
 
 

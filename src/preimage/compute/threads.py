@@ -57,5 +57,5 @@ def choose_threads(*, at_most: int | None = MOST_FOR_SMALL) -> str:
     allowed = torch.get_num_threads()
     threads = min(allowed, threads_for(cores=cores, busy=busy, at_most=at_most))
     torch.set_num_threads(threads)
-    reason = f"{busy:.0f} of {cores} cores busy" if busy >= 0.5 else f"{cores} cores, none busy"
+    reason = f"{cores} cores, {busy:.0f} other threads at work" if busy >= 0.5 else f"{cores} cores, none busy"
     return f"threads: {threads} ({reason})"

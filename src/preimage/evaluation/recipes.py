@@ -35,7 +35,13 @@ LEARNING: dict[str, dict[str, Any]] = {
 """How a task is learned, where that differs from `TrainOptions`."""
 FEW: dict[int, dict[str, Any]] = {50: {"mixup": 0.5}, 25: {"mixup": 0.5, "mixup_arity": 4, "mixup_extrapolation": 1.8}}
 """How reaching is learned from fewer than 100 demonstrations: what lies between them, and around them, has to be learned."""
-TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5070, 6000, 7000
+TRAINING_IDEAS: dict[str, tuple[tuple[str, int], ...]] = {
+    "mixup": (("reach", 50), ("reach", 25)),
+    "later_starts": (("two-points", 100),),
+    "keypoints": (("move-object", 100), ("two-circles", 100)),
+}
+"""What a training goes beyond the paper with, and the tasks and numbers of demonstrations it was made for."""
+TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5080, 6000, 7000
 """A cell's seed is added to these: they draw what its model was never shown."""
 
 
@@ -56,6 +62,8 @@ class Cell:
     """Of the training; by default as many as the task asks for."""
     goals: int | None = None
     """Test goals; by default as many as the paper's, and 20 for recognition and the modalities."""
+    without: str = ""
+    """An idea of training (`TRAINING_IDEAS`) that is left out."""
 
     @property
     def name(self) -> str:
@@ -68,7 +76,8 @@ class Cell:
         return self._named("-as-paper" if self.preset == "paper" else "")
 
     def _named(self, preset: str) -> str:
-        return f"{self.data}-{self.size}{preset}-seed{self.seed}"
+        without = f"-without-{self.without}" if self.without else ""
+        return f"{self.data}-{self.size}{preset}{without}-seed{self.seed}"
 
     @property
     def data(self) -> str:
@@ -110,6 +119,10 @@ def cells_of(table: str, size: str) -> list[Cell]:
         + [Cell("move-object", size=size, loops=("closed", "open"), pixels=2 * Cell.pixels)],
         "two-circles": [Cell("two-circles", size=size)],
     }
+    if table == "ablation":
+        of_each = [("reach", 100), ("reach", 25), ("two-points", 100), ("move-object", 100), ("two-circles", 100)]
+        loops: dict[str, tuple[Loop, ...]] = {"move-object": ("closed", "open")}
+        return [Cell(task, count, seed, size, loops=loops.get(task, ("closed",))) for task, count in of_each for seed in (0, 1, 2)]
     if table == "all":
         return [cell for cells in tables.values() for cell in cells]
     if table not in tables:
@@ -123,6 +136,8 @@ def network_of(cell: Cell) -> ModelConfig:
     if cell.preset == "paper":
         return network
     network = replace(network, **NETWORKS.get(cell.task, {}))
+    if cell.without == "keypoints":
+        network = replace(network, keypoints=0)
     if cell.size != "small":
         return network
     return replace(network, **(FINER if cell.pixels > Cell.pixels else FEWER_UNITS.get(cell.task, {})))
@@ -134,4 +149,6 @@ def learning_of(cell: Cell) -> TrainOptions:
     if cell.preset != "paper":
         few = FEW.get(cell.num_demonstrations, {}) if cell.task == "reach" else {}
         config = replace(config, **LEARNING.get(cell.task, {}), **few)
+    if cell.without in ("mixup", "later_starts"):
+        config = replace(config, **{cell.without: 0.0})
     return replace(config, updates=cell.updates) if cell.updates else config

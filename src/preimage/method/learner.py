@@ -59,7 +59,8 @@ def share_of_rate(update: int, config: TrainConfig) -> float:
 
 def validate_finite(learner: Learner, errors: Mapping[str, Tensor], norm: Tensor, run: Path | None) -> None:
     """Raises NonFinite, naming the first tensor that is not finite, before it can reach the weights."""
-    if all(bool(value.isfinite().all()) for value in (*errors.values(), norm)):
+    intentions = (p.grad for p in learner.model.intention_table.parameters() if p.grad is not None)  # which the norm does not hold
+    if all(bool(value.isfinite().all()) for value in (*errors.values(), norm, *intentions)):
         return
     gradients = {f"the gradient of {name}": p.grad for name, p in learner.model.named_parameters() if p.grad is not None}
     broken = (name for name, value in (dict(errors) | gradients).items() if not bool(value.isfinite().all()))

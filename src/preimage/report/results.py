@@ -28,6 +28,7 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     parts = [
         HEAD,
         presets_table(evaluations),
+        ablation_table(found),
         reach_table(evaluations),
         tasks_table(evaluations),
         grasps_table(evaluations),
@@ -103,6 +104,19 @@ def presets_table(evaluations: Results) -> str:
     return table(
         "The method alone, and what is added", ["task", "demonstrations", "loop", "paper", *(f"as {name}" for name in PRESETS)], rows
     )
+
+
+def ablation_table(found: Results) -> str:
+    """What each idea brings."""
+    rows = []
+    for one in found:
+        for name, row in one["rows"].items() if one.get("kind") == "ablation" else ():
+            setting = [one["task"], str(one["num_demonstrations"]), one["loop"], name, counted(row)]
+            changed = f"+{row['gained']} -{row['lost']} ({row['p']:.2f})" if "gained" in row else ""
+            rows.append([*setting, changed, f"{row['deviation_cm']:.2f} cm", f"{row['seconds']:.2f} s", f"{row['iterations']:.1f}"])
+    head = ["task", "demonstrations", "loop", "as", "reached", "gained, lost (p)", "mean", "a plan", "iterations"]
+    note = "Gained and lost: goals against the preset itself, on the same goals; p by the sign test."
+    return table("What each idea brings", head, rows) + (f"\n\n{note}" if rows else "")
 
 
 def pooled(evaluations: Results) -> str:

@@ -1,0 +1,155 @@
+"""What each idea brings: the paper's method, regression with each idea alone, and full without each, on the same goals.
+
+Ideas of planning share the trained models of a task. Ideas of training have models of their own, on the tasks they were made for
+(`recipes.TRAINING_IDEAS`). Every row is compared goal by goal with the preset it changes: goals that it gains and goals that it loses.
+
+>>> round(sign_test(gained=1, lost=7), 3), sign_test(gained=0, lost=0)
+(0.07, 1.0)
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import comb
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from preimage.compute.devices import CPU
+from preimage.evaluation.evaluate import carry_out, goal_of, share
+from preimage.evaluation.experiments import TELL, demonstrations_of, planner_of
+from preimage.evaluation.loops import Loop
+from preimage.evaluation.recipes import TEST_GOALS, TEST_SEED, TRAINING_IDEAS, Cell, paper_of
+from preimage.method.train import Progress
+from preimage.presets import PlanOptions, Preset, load_planner
+from preimage.robot import Arm, record
+from preimage.storage.atomic_write import write_json
+from preimage.storage.provenance import provenance
+from preimage.storage.reading import read_json
+
+GRIPPING = "move-object", "two-circles"
+"""Tasks with a gripper, in which alone there are gripper events."""
+FULL, REGRESSION = PlanOptions.full(), PlanOptions.regression()
+SEARCH = {name: getattr(PlanOptions.paper(), name) for name in ("search", "iterations", "learning_rate", "screening", "finalists")}
+SWITCHES: dict[str, tuple[str, ...]] = {
+    "kriged guess": ("guess", "candidates"),
+    "expected joints": ("expected_joints",),
+    "restarts": ("restarts",),
+    "test-time augmentation": ("test_time_augmentation",),
+    "end correction": ("end_correction",),
+    "gripper events": ("gripper_events",),
+}
+"""The ideas that full has and regression has not, and the options that switch them."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A preset with one idea more or less; without a name the preset itself."""
+
+    preset: Preset
+    idea: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Options of the plan that differ from the preset's."""
+    without: str = ""
+    """An idea of training that the model was trained without."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.preset} {self.idea}".strip()
+
+
+def variants_of(cell: Cell) -> list[Variant]:
+    """The rows of a task's table."""
+    ideas = {name: fields for name, fields in SWITCHES.items() if name != "gripper events" or cell.task in GRIPPING}
+    variants = [Variant("paper"), Variant("regression")]
+    both = {"- Gauss-Newton": SEARCH, "- hold at the goal": {"hold_goal": False}}
+    variants += [Variant("regression", idea, options) for idea, options in both.items()]
+    variants += [Variant("regression", f"+ {idea}", options_of(FULL, fields)) for idea, fields in ideas.items()]
+    variants += [Variant("full")]
+    variants += [Variant("full", idea, options) for idea, options in both.items()]
+    variants += [Variant("full", f"- {idea}", options_of(REGRESSION, fields)) for idea, fields in ideas.items()]
+    made_for = [idea for idea, tasks in TRAINING_IDEAS.items() if (cell.task, cell.num_demonstrations) in tasks]
+    return [*variants, *(Variant("full", f"- {idea}", without=idea) for idea in made_for)]
+
+
+def options_of(options: PlanOptions, fields: Sequence[str]) -> dict[str, Any]:
+    return {name: getattr(options, name) for name in fields}
+
+
+def ablate(
+    cells: Sequence[Cell],
+    *,
+    place: torch.device = CPU,
+    work: Path,
+    out: Path,
+    tell: TELL,
+    progress: Callable[[Progress], None] | None = None,
+) -> None:
+    """A table a task in `out`, row by row; rows that were there before are not made again.
+
+    Args:
+        cells: the trainings, of each task one a training seed.
+
+    Raises:
+        ValueError: the working folder holds a run of that name with other data or settings.
+    """
+    for data, loop in dict.fromkeys((cell.data, loop) for cell in cells for loop in cell.loops):
+        alike = [cell for cell in cells if cell.data == data]
+        file = out / f"ablation-{data}-{alike[0].size}-{loop}.json"
+        table = read_json(file) if file.exists() else about_of(alike, loop, place)
+        for variant in variants_of(alike[0]):
+            if variant.name not in table["rows"]:
+                rows = [row for cell in alike for row in rows_of(cell, variant, loop, place, work, tell, progress)]
+                base = table["rows"][variant.preset]["trials"] if variant.idea else None
+                table["rows"][variant.name] = summed_up(rows, base)
+                write_json(file, table)
+
+
+def about_of(cells: Sequence[Cell], loop: Loop, place: torch.device) -> dict[str, Any]:
+    """What a table is of."""
+    first = cells[0]
+    about = {"kind": "ablation", "task": first.task, "num_demonstrations": first.num_demonstrations, "size": first.size, "loop": loop}
+    seeds = {"training_seeds": [cell.seed for cell in cells], "seeds": [TEST_SEED + cell.seed for cell in cells]}
+    return about | seeds | {"paper": paper_of(first.task, first.num_demonstrations, loop), "provenance": provenance(place), "rows": {}}
+
+
+def rows_of(
+    cell: Cell, variant: Variant, loop: Loop, place: torch.device, work: Path, tell: TELL, progress: Callable[[Progress], None] | None
+) -> list[dict[str, Any]]:
+    """What became of each of a cell's goals."""
+    cell = replace(cell, preset=variant.preset, without=variant.without)
+    planner_of(cell, demonstrations_of(cell, work, tell), place, work, tell, progress)  # it is trained now, if it was not before
+    options = replace(PlanOptions.of(variant.preset), **variant.options)
+    planner = load_planner(work / "runs" / cell.run, options, device=place)
+    arm, began, rows = Arm(), time.perf_counter(), list[dict[str, Any]]()
+    goals = record(arm, cell.filmed, count=cell.goals or TEST_GOALS[cell.task], seed=TEST_SEED + cell.seed)
+    for goal, demonstration in enumerate(goals):
+        found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, options.modalities))
+        trial = carry_out(planner, found, arm, cell.filmed, demonstration, loop)
+        moved = {"success": trial.success, "deviation_cm": round(100 * trial.deviation_m, 3)}
+        searched = {"error": found.error, "seconds": round(found.seconds, 3), "iterations": len(found.errors)}
+        rows.append({"training_seed": cell.seed, "goal": goal} | moved | searched)
+        left = (time.perf_counter() - began) / (goal + 1) * (len(goals) - goal - 1)
+        reached = sum(row["success"] for row in rows)
+        tell(f"{cell.run}, {variant.name}, {loop}: {reached}/{goal + 1} of {len(goals)}, {left:.0f} s left")
+    return rows
+
+
+def summed_up(rows: list[dict[str, Any]], base: Sequence[dict[str, Any]] | None) -> dict[str, Any]:
+    """A row of the table: its count, and what it gains and loses against the preset it changes."""
+    counted = share([row["success"] for row in rows])
+    means = {name: round(float(np.mean([row[name] for row in rows])), 3) for name in ("deviation_cm", "seconds", "iterations", "error")}
+    if base is None:
+        return counted | means | {"trials": rows}
+    pairs = [(row["success"], before["success"]) for row, before in zip(rows, base, strict=True)]
+    gained, lost = (sum(now != then and now == won for now, then in pairs) for won in (True, False))
+    compared = {"gained": gained, "lost": lost, "p": round(sign_test(gained=gained, lost=lost), 3)}
+    return counted | means | compared | {"trials": rows}
+
+
+def sign_test(*, gained: int, lost: int) -> float:
+    """How likely so uneven a split is, if each goal that changed was as likely to be gained as lost (two-sided)."""
+    changed, fewer = gained + lost, min(gained, lost)
+    return min(1.0, 2 * sum(comb(changed, k) for k in range(fewer + 1)) / 2**changed)
