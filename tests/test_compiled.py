@@ -142,7 +142,7 @@ def test_a_training_goes_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0 < apart(quick, slow, begun=begun) < 1e-4
 
 
-def test_what_it_cannot_or_need_not_do_is_left_to_torch() -> None:
+def test_what_it_cannot_or_need_not_do_is_left_to_torch(monkeypatch: pytest.MonkeyPatch) -> None:
     model, keypoints = PDVMRNN(ModelConfig.tiny(), SMALL), PDVMRNN(ModelConfig(keypoints=2, vision_channels=(6, 8, 8)), SMALL)
     start = start_of(model, 1)
     assert serves(model, start, torch.float32)
@@ -150,5 +150,9 @@ def test_what_it_cannot_or_need_not_do_is_left_to_torch() -> None:
     assert not serves(model, start, torch.float64)
     assert not serves(model, (start[0].double(), start[1]), None)
     assert not serves(keypoints, start, None)
-    assert not serves(PDVMRNN(ModelConfig.paper(), SMALL), start, None)
+    paper = PDVMRNN(ModelConfig.paper(), SMALL)
+    assert serves(paper, start, torch.float32)
+    for native in (True, False):
+        monkeypatch.setattr("preimage.compute.precision.computes_bfloat16", lambda device, native=native: native)
+        assert serves(paper, start, torch.bfloat16) != native
     assert imagined(0, start) is start

@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 
 from preimage.fast.convolution import OPTIONS, add_nine, correlate, products
+from preimage.fast.matrix import multiply, multiply_transposed
 from preimage.fast.simd import tanh
 
 CHUNK = 2048
@@ -27,7 +28,7 @@ CONVOLUTION, MATRIX, SCATTER, GATES, PIXELS, CODES = range(6)
 """Kinds of operations: a 3x3 convolution, a matrix, a rearrangement, an LSTM's gates, and the outputs: pixels and joint codes."""
 FIELDS = (
     *("kind", "source", "source_now", "target", "target_now", "inputs", "outputs", "batch", "size", "row", "image"),
-    *("weight", "bias", "cell", "tanh_cell", "spare", "first", "count"),
+    *("weight", "bias", "cell", "tanh_cell", "spare", "first", "count", "tape"),
 )
 OPERATION = np.dtype([*((name, np.int64) for name in FIELDS), ("factor", np.float64)])
 """One line of a program; fields that a kind does not use are 0. Indices count from the start of a step's buffer."""
@@ -124,14 +125,6 @@ def add_scaled(y, x, factor):
 
 
 @njit(**OPTIONS)
-def dot(x, y):
-    total = x.dtype.type(0)
-    for i in range(len(x)):
-        total += x[i] * y[i]
-    return total
-
-
-@njit(**OPTIONS)
 def sum_of(x):
     total = x.dtype.type(0)
     for i in range(len(x)):
@@ -141,28 +134,22 @@ def sum_of(x):
 
 @njit(**OPTIONS)
 def matrix_forward(op, x, y, weights):
-    """A matrix product: for every input, its weights to all outputs."""
-    outputs, batch = op.outputs, op.size
-    for row in range(batch):
-        result = weights[op.bias : op.bias + outputs].copy()
-        for i in range(op.inputs):
-            first = op.weight + i * outputs
-            add_scaled(result, weights[first : first + outputs], x[op.source + i * batch + row])
-        y[op.target + row : op.target + outputs * batch : batch] = result
+    batch = op.size
+    for n in range(op.outputs):
+        y[op.target + n * batch : op.target + (n + 1) * batch] = weights[op.bias + n]
+    multiply(weights, op.weight, op.inputs, op.outputs, x, op.source, batch, y, op.target)
 
 
 @njit(**OPTIONS)
-def matrix_backward(op, x, grad_x, grad_y, weights, grad_weights, learned):
-    outputs, batch = op.outputs, op.size
-    for row in range(batch):
-        gradient = grad_y[op.target + row : op.target + outputs * batch : batch].copy()
-        for i in range(op.inputs):
-            first, place = op.weight + i * outputs, op.source + i * batch + row
-            grad_x[place] += dot(weights[first : first + outputs], gradient)
-            if learned:
-                add_scaled(grad_weights[first : first + outputs], gradient, x[place])
-        if learned:
-            add_scaled(grad_weights[op.bias : op.bias + outputs], gradient, gradient.dtype.type(1))
+def matrix_backward(op, grad_x, grad_y, weights):
+    multiply_transposed(weights, op.weight, op.inputs, op.outputs, grad_y, op.target, op.size, grad_x, op.source)
+
+
+@njit(**OPTIONS)
+def record(op, grad_y, tape):
+    """The weights of a matrix get their gradients from the outputs' of all steps, by one large product (`fast.loop`)."""
+    count = op.outputs * op.size
+    tape[op.tape : op.tape + count] = grad_y[op.target : op.target + count]
 
 
 @njit(**OPTIONS)
@@ -215,20 +202,25 @@ def gates_backward(op, now, before, grad_now, grad_before):
 @njit(**OPTIONS)
 def pixels_forward(op, now, weights):
     """Pixels: the tanh of the last layer's output plus a bias for every pixel."""
-    size = op.outputs * op.size
-    x, y, bias = now[op.source : op.source + size], now[op.target : op.target + size], weights[op.bias : op.bias + size]
-    for p in range(size):
-        y[p] = tanh(x[p] + bias[p])
+    for n in range(op.outputs):
+        bias = weights[op.bias + n * op.image : op.bias + (n + 1) * op.image]
+        for first in range(n * op.size, n * op.size + op.batch * op.image, op.image):
+            x, y = now[op.source + first : op.source + first + op.image], now[op.target + first : op.target + first + op.image]
+            for p in range(op.image):
+                y[p] = tanh(x[p] + bias[p])
 
 
 @njit(**OPTIONS)
 def pixels_backward(op, now, grad_now, grad_weights):
-    size = op.outputs * op.size
-    y, grad_y, grad_x = now[op.target : op.target + size], grad_now[op.target : op.target + size], grad_now[op.source : op.source + size]
-    grad_bias, one = grad_weights[op.bias : op.bias + size], now.dtype.type(1)
-    for p in range(size):
-        grad_x[p] = grad_y[p] * (one - y[p] * y[p])
-    add_scaled(grad_bias, grad_x, one)
+    one = now.dtype.type(1)
+    for n in range(op.outputs):
+        grad_bias = grad_weights[op.bias + n * op.image : op.bias + (n + 1) * op.image]
+        for first in range(n * op.size, n * op.size + op.batch * op.image, op.image):
+            y, grad_y = now[op.target + first : op.target + first + op.image], grad_now[op.target + first : op.target + first + op.image]
+            grad_x = grad_now[op.source + first : op.source + first + op.image]
+            for p in range(op.image):
+                grad_x[p] = grad_y[p] * (one - y[p] * y[p])
+            add_scaled(grad_bias, grad_x, one)
 
 
 @njit(**OPTIONS)
@@ -300,6 +292,7 @@ def go_backward(
     grad_codes,
     grad_weights,
     grad_initial,
+    tape,
     learned,
 ):
     """The gradients of all weights, where these are learned, and of the loop's initial values."""
@@ -319,7 +312,9 @@ def go_backward(
                 if learned:
                     convolution_weight_gradient(op, x, grad_y, grad_weights)
             elif op.kind == MATRIX:
-                matrix_backward(op, x, grad_x, grad_y, weights, grad_weights, learned)
+                matrix_backward(op, grad_x, grad_y, weights)
+                if learned:
+                    record(op, grad_y, tape[step])
             elif op.kind == SCATTER:
                 scatter(moves[1, op.first : op.first + op.count], moves[0, op.first : op.first + op.count], grad_y, grad_x, op.factor)
             elif op.kind == GATES:
