@@ -17,9 +17,9 @@ numba caches compiled code by the age of the file of the outermost function, whi
 import numpy as np
 from numba import njit
 
-from preimage.fast.convolution import OPTIONS, add_nine, correlate, products
+from preimage.fast.convolution import OPTIONS, correlate, products
 from preimage.fast.matrix import multiply, multiply_transposed
-from preimage.fast.simd import tanh
+from preimage.fast.simd import horizontal_sum, tanh
 
 CHUNK = 2048
 """Numbers of a channel that a weight gradient goes through before the next channel: split_gates such chunks fit the first cache."""
@@ -109,13 +109,11 @@ def convolution_weight_gradient(op, x, grad_y, grad_weights):
             a, left = op.target + n * size + begin, op.outputs - 1 - n
             b, c = a + min(1, left) * size, a + min(2, left) * size
             for i in range(op.inputs):
-                u, v, w = products(x, op.source + i * size + begin, length, op.row, grad_y, a, b, c)
+                sums = products(x, op.source + i * size + begin, length, op.row, grad_y, a, b, c)
                 first = op.weight + 9 * (n * op.inputs + i)
-                add_nine(grad_weights, first, u)
-                if left > 0:
-                    add_nine(grad_weights, first + step, v)
-                if left > 1:
-                    add_nine(grad_weights, first + 2 * step, w)
+                for k in range(min(3, left + 1)):
+                    for tap in range(9):
+                        grad_weights[first + k * step + tap] += horizontal_sum(sums[tap][k])
 
 
 @njit(**OPTIONS)
