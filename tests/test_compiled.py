@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 
 import pytest
 import torch
@@ -22,6 +23,7 @@ CASES = {
     "two levels": (ModelConfig.tiny(), (16, 16, 1), 3),
     "one sequence, wide, in colour": (ModelConfig.tiny(), (16, 24, 3), 1),
     "three levels": (THREE_LEVELS, (32, 16, 1), 2),
+    "keypoints": (replace(THREE_LEVELS, keypoints=3), (32, 16, 1), 3),
     "more places than a chunk": (ModelConfig.tiny(), (64, 64, 1), 3),
 }
 NUM_STEPS = 4
@@ -143,13 +145,12 @@ def test_a_training_goes_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_it_cannot_or_need_not_do_is_left_to_torch(monkeypatch: pytest.MonkeyPatch) -> None:
-    model, keypoints = PDVMRNN(ModelConfig.tiny(), SMALL), PDVMRNN(ModelConfig(keypoints=2, vision_channels=(6, 8, 8)), SMALL)
+    model = PDVMRNN(ModelConfig.tiny(), SMALL)
     start = start_of(model, 1)
     assert serves(model, start, torch.float32)
     assert serves(model, start, torch.bfloat16), "in single precision, which is more"
     assert not serves(model, start, torch.float64)
     assert not serves(model, (start[0].double(), start[1]), None)
-    assert not serves(keypoints, start, None)
     paper = PDVMRNN(ModelConfig.paper(), SMALL)
     assert serves(paper, start, torch.float32)
     for native in (True, False):

@@ -40,7 +40,16 @@ def closed_loop_engine(
         return None
     from preimage.fast.loop import closed_loop
 
-    return closed_loop(model, states, start, num_steps=num_steps)
+    return closed_loop(model, states, start, num_steps=num_steps, narrow=is_narrow(model, dtype))
+
+
+def is_narrow(model: "PDVMRNN", dtype: "torch.dtype | None") -> bool:
+    """Whether bfloat16 is asked for, and compiled."""
+    import torch
+
+    from preimage.fast.bfloat16 import is_compiled
+
+    return dtype == torch.bfloat16 and model.pixel_bias.dtype == torch.float32 and is_compiled()
 
 
 def serves(model: "PDVMRNN", start: "Inputs", dtype: "torch.dtype | None") -> bool:
@@ -50,7 +59,7 @@ def serves(model: "PDVMRNN", start: "Inputs", dtype: "torch.dtype | None") -> bo
     from preimage.compute.precision import computes_bfloat16
 
     weights, pixels = model.pixel_bias, start[0]
-    compilable = weights.device.type == "cpu" and not model.config.keypoints
+    compilable = weights.device.type == "cpu"
     precise = pixels.dtype == weights.dtype and dtype in (None, weights.dtype, torch.bfloat16)
     work = len(pixels) * sum(shape[0] ** 2 * prod(shape[1:]) for shape in model.state_shapes.values())
     return compilable and precise and (work <= COMPILED_UP_TO or dtype != torch.bfloat16 or not computes_bfloat16(weights.device))

@@ -85,15 +85,15 @@ def multiply_add_two(sums, weight, two):
 
 
 @njit(**OPTIONS)
-def products(x, source, length, row, grad_y, a, b, c):
+def products(x, source, length, row, grad_y, a, b, c, zero, step):
     """Of the nine taps around each place of x with the gradients of three channels, which begin at a, b and c.
 
-    Tap by tap, so that only one of them needs a register beside the 27 sums.
+    Tap by tap, so that only one of them needs a register beside the 27 sums. A vector holds so many numbers as step says.
     """
-    zero = broadcast(x.dtype.type(0))
+    zero = broadcast(zero)
     three = zero, zero, zero
     s = three, three, three, three, three, three, three, three, three
-    for p in range(0, length, VECTOR_SIZE):
+    for p in range(0, length, step):
         y = load(grad_y, a + p), load(grad_y, b + p), load(grad_y, c + p)
         middle = source + p
         upper, lower = multiply_add_line(s[:3], y, x, middle - row), multiply_add_line(s[6:], y, x, middle + row)

@@ -13,12 +13,13 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from preimage.fast.compiled import MATRIX, go_backward, go_forward
+from preimage.fast.compiled import MATRIX, flipped, go_backward, go_forward, paired
 from preimage.fast.program import Program
 from preimage.fast.simd import VECTOR_SIZE
 from preimage.network.cells import State, space_to_depth
@@ -31,13 +32,16 @@ PROGRAMS: WeakKeyDictionary[nn.Module, dict[int, Program]] = WeakKeyDictionary()
 """Programs already written, by network and number of sequences."""
 
 
-def closed_loop(model: Any, states: Mapping[str, State], start: tuple[Tensor, Tensor], *, num_steps: int) -> tuple[Tensor, Tensor]:
+def closed_loop(
+    model: Any, states: Mapping[str, State], start: tuple[Tensor, Tensor], *, num_steps: int, narrow: bool = False
+) -> tuple[Tensor, Tensor]:
     """The predicted pixels (B, T, C, H, W) and log codes (B, T, J, K).
 
     Args:
         model: a `PDVMRNN` on the CPU, in single or double precision.
         states: hidden and cell state of every layer before the first step.
         start: pixels (B, C, H, W) and codes (B, J, K) of the first input.
+        narrow: convolve in bfloat16, which `fast.bfloat16` has to be compiled for; the weights are in single precision.
     """
     pixels, codes = start
     programs = [program_of(model, count) for count in parts_of(len(pixels), torch.get_num_threads())]
@@ -46,7 +50,7 @@ def closed_loop(model: Any, states: Mapping[str, State], start: tuple[Tensor, Te
     )
     weights = weights_of(model, programs[0])
     keep_steps = torch.is_grad_enabled() and (initial.requires_grad or weights.requires_grad)
-    predicted, log_codes = ClosedLoop.apply(weights, initial, programs, num_steps, keep_steps)  # pyright: ignore[reportGeneralTypeIssues]
+    predicted, log_codes = ClosedLoop.apply(weights, initial, programs, num_steps, keep_steps, narrow)  # pyright: ignore[reportGeneralTypeIssues]
     return predicted.unflatten(2, pixels.shape[1:]), log_codes.unflatten(2, codes.shape[1:])
 
 
@@ -94,17 +98,19 @@ class ClosedLoop(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, weights: Tensor, initial: Tensor, programs: list[Program], num_steps: int, keep_steps: bool
+        ctx: Any, weights: Tensor, initial: Tensor, programs: list[Program], num_steps: int, keep_steps: bool, narrow: bool
     ) -> tuple[Tensor, ...]:
         predicted = [weights.new_empty(len(initial), num_steps, indices.shape[1]) for indices in programs[0].read]
         buffers = [weights.new_empty(num_steps + 1 if keep_steps else 2, program.length) for program in programs]
         rows = [each.split([program.batch for program in programs]) for each in (initial, *predicted)]
-        given = [(*program.lists, *in_numpy(weights, *each)) for program, *each in zip(programs, buffers, *rows, strict=True)]
+        kernels = paired(programs[0].operations, *in_numpy(weights), False) if narrow else weights.detach().numpy()
+        parts = zip(programs, buffers, *rows, strict=True)
+        given = [(*program.lists, *in_numpy(weights), kernels, scratch_of(program, narrow), *in_numpy(*each)) for program, *each in parts]
         ctx.threads = torch.get_num_threads()
         side_by_side(go_forward, given, ctx.threads)
         if not (weights.isfinite().all() and initial.isfinite().all()):  # fast arithmetic assumes that they are
             predicted = [each.fill_(torch.nan) for each in predicted]
-        ctx.programs = programs
+        ctx.programs, ctx.narrow = programs, narrow
         ctx.save_for_backward(weights, *buffers)
         return tuple(predicted)
 
@@ -119,14 +125,25 @@ class ClosedLoop(torch.autograd.Function):
         tapes = [weights.new_empty(num_steps if learned else 0, program.tape) for program in programs]
         grad_pixels, grad_codes, initial = (each.contiguous().split(counts) for each in (*grad_predicted, grad_initial))
         parts = zip(programs, buffers, grad_pixels, grad_codes, grad_small, initial, tapes, strict=True)
-        given = [(*program.lists, *in_numpy(weights, *each), learned) for program, *each in parts]
+        kernels = flipped(programs[0].operations, *in_numpy(weights))
+        kernels = paired(programs[0].operations, kernels, True) if ctx.narrow else kernels
+        scratches = [scratch_of(program, ctx.narrow) for program in programs]
+        given = [
+            (*program.lists, *in_numpy(weights), kernels, scratch, *in_numpy(*each), learned)
+            for scratch, (program, *each) in zip(scratches, parts, strict=True)
+        ]
         side_by_side(go_backward, given, ctx.threads)
         grad_weights = gradient_of(weights, grad_small.sum(0), programs, buffers, tapes) if learned else None
-        return grad_weights, grad_initial, None, None, None
+        return grad_weights, grad_initial, None, None, None, None
 
 
 def in_numpy(*tensors: Tensor) -> list[Any]:
     return [each.detach().numpy() for each in tensors]
+
+
+def scratch_of(program: Program, narrow: bool) -> Any:
+    """Room for the inputs and the gradients of the largest convolution in bfloat16, whose kind says that this is asked for."""
+    return np.zeros((2, program.scratch), np.uint32) if narrow else np.empty((2, 0), np.float32)
 
 
 def gradient_of(weights: Tensor, grad_small: Tensor, programs: list[Program], buffers: list[Tensor], tapes: list[Tensor]) -> Tensor:

@@ -27,9 +27,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from preimage.fast.compiled import CODES, CONVOLUTION, GATES, MATRIX, OPERATION, PIXELS, SCATTER
+from preimage.fast.bfloat16 import margin_of
+from preimage.fast.compiled import CODES, CONVOLUTION, GATES, MATRIX, OPERATION, PIXELS, POINTS, SCATTER
 from preimage.fast.convolution import TILE
-from preimage.network.cells import depth_to_space, space_to_depth
+from preimage.network.cells import SHARPNESS, depth_to_space, space_to_depth
 
 
 class Block(NamedTuple):
@@ -98,6 +99,9 @@ class Program:
         for line in self.lines:
             if line["kind"] == MATRIX:  # the large weights come last, for they get their gradients by themselves
                 line |= {"weight": line["weight"] + self.num_weights, "bias": line["bias"] + self.num_weights}
+        convolved = [line for line in self.lines if line["kind"] == CONVOLUTION]
+        pairs = [((max(line["inputs"], line["outputs"]) + 1) // 2 * line["size"], margin_of(line["row"])) for line in convolved]
+        self.scratch = int(max(count + 2 * margin for count, margin in pairs))
         self.operations = np.array([tuple(line.get(name, 0) for name in OPERATION.names or ()) for line in self.lines], OPERATION)
         self.indices = torch.cat(self.moves, dim=1).int().numpy()  # (2, number of moves): sources and targets
         read = depth_to_space(self.pixels.indices()).flatten(1), self.log_codes.indices().flatten(1)
@@ -175,6 +179,13 @@ class Program:
         self.map(CONVOLUTION, name, coarse, features)
         self.move(features, target, lambda indices: indices.permute(0, 2, 3, 1))
 
+    def point(self, name: str, maps: Block, target: Block) -> None:
+        """`network.cells.expected_positions`: from feature maps to the positions of keypoints."""
+        heat = self.block(target.channels // 2, maps.height, maps.width)
+        self.map(CONVOLUTION, name, maps, heat)
+        shape = {"inputs": heat.channels, "size": heat.size, "row": heat.row, "image": heat.image}
+        self.write(POINTS, heat, target, factor=SHARPNESS, **shape)
+
     def _write_step(self, model: Any) -> None:
         """`PDVMRNN.at`, operation by operation."""
         config, inputs, before = model.config, self.inputs, self.hidden
@@ -198,6 +209,9 @@ class Program:
             self.move(motor_above, inputs[motor].part(num_below, above))
             features = inputs[motor].part(num_below + above, config.seen_channels * grid[0] * grid[1])
             self.from_maps(f"laterals.{k}.from_vision", before[vision], grid, config.seen_channels, features)
+            if config.keypoints:
+                points = inputs[motor].part(num_below + above + features.channels, 2 * config.keypoints)
+                self.point(f"laterals.{k}.to_keypoints", before[vision], points)
             self.gate(vision)
             self.gate(motor)
             vision_above, motor_above = now[vision], now[motor]
