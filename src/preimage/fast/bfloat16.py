@@ -27,7 +27,8 @@ def is_compiled() -> bool:
     from llvmlite import binding
     from numba.core import config
 
-    return config.CPU_NAME in (None, "host") and binding.get_host_cpu_features().get("avx512bf16", False)
+    chosen = getattr(config, "CPU_NAME", None)  # NUMBA_CPU_NAME
+    return chosen in (None, "host") and binding.get_host_cpu_features().get("avx512bf16", False)
 
 
 @njit(**OPTIONS)
@@ -43,13 +44,14 @@ def pair(low, high):
 
 @njit(**OPTIONS)
 def margin_of(row):
-    """Places before and behind all channels that kernels may read: a line and one, in whole vectors."""
+    """Places before and behind all channels that kernels read: a line and one, in whole vectors."""
     return -(-(row + 1) // VECTOR_SIZE) * VECTOR_SIZE
 
 
 @njit(**OPTIONS)
 def pair_channels(x, source, channels, size, pairs, first):
-    """Two channels beside each other, the last one beside zeros if it is odd; how many pairs."""
+    """Two channels beside each other, the last one beside zeros if it is odd, and zeros before them all; how many pairs."""
+    pairs[:first] = 0
     for channel in range(0, channels, 2):
         begin = source + channel * size
         low, result = x[begin : begin + size].view(np.uint32), pairs[first : first + size]
@@ -66,7 +68,8 @@ def pair_channels(x, source, channels, size, pairs, first):
 
 @njit(**OPTIONS)
 def halve(x, source, count, halves, first):
-    """Channels as they lie, in half the room."""
+    """Channels as they lie, in half the room, and zeros before them."""
+    halves[:first] = 0
     numbers, result = x[source : source + count].view(np.uint32), halves[first : first + count]
     for p in range(count):
         result[p] = rounded(numbers[p]) >> np.uint32(16)

@@ -11,8 +11,8 @@ arrays (slices that begin at 0) and divide without a check.
 numba caches compiled code by the age of the file of the outermost function, which is this one.
 """
 
-# pyright: reportGeneralTypeIssues=false
-# What an intrinsic returns cannot be seen from its declaration.
+# pyright: reportGeneralTypeIssues=false, reportArgumentType=false
+# What numba declares says too little.
 
 import numpy as np
 from numba import njit, types

@@ -103,7 +103,7 @@ class ClosedLoop(torch.autograd.Function):
         predicted = [weights.new_empty(len(initial), num_steps, indices.shape[1]) for indices in programs[0].read]
         buffers = [weights.new_empty(num_steps + 1 if keep_steps else 2, program.length) for program in programs]
         rows = [each.split([program.batch for program in programs]) for each in (initial, *predicted)]
-        kernels = paired(programs[0].operations, *in_numpy(weights), False) if narrow else weights.detach().numpy()
+        kernels = paired(programs[0].operations, weights.detach().numpy(), False) if narrow else weights.detach().numpy()
         parts = zip(programs, buffers, *rows, strict=True)
         given = [(*program.lists, *in_numpy(weights), kernels, scratch_of(program, narrow), *in_numpy(*each)) for program, *each in parts]
         ctx.threads = torch.get_num_threads()

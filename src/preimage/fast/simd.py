@@ -95,7 +95,8 @@ class Pairs(ir.Type):
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Pairs)
 
-    __hash__ = None
+    def __hash__(self) -> int:
+        return hash(Pairs)
 
 
 @intrinsic
