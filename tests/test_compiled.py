@@ -1,7 +1,8 @@
 """The compiled loop is the network's own: the same values and gradients as torch's step gives, in every shape that is served."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from copy import deepcopy
+from dataclasses import replace
 
 import pytest
 import torch
@@ -15,6 +16,8 @@ from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN, Generated, imagined
 
 pytest.importorskip("numba")
+from preimage.fast.bfloat16 import is_compiled
+
 pytestmark = pytest.mark.slow  # the first time on a machine it is all compiled, in half a minute
 
 THREE_LEVELS = ModelConfig(vision_channels=(5, 6, 8), motor_units=(9, 8, 7), top_channels=6, lateral_channels=2, seen_channels=3)
@@ -22,15 +25,23 @@ CASES = {
     "two levels": (ModelConfig.tiny(), (16, 16, 1), 3),
     "one sequence, wide, in colour": (ModelConfig.tiny(), (16, 24, 3), 1),
     "three levels": (THREE_LEVELS, (32, 16, 1), 2),
+    "keypoints": (replace(THREE_LEVELS, keypoints=3), (32, 16, 1), 3),
     "more places than a chunk": (ModelConfig.tiny(), (64, 64, 1), 3),
+    "more sequences than are served at once": (ModelConfig.tiny(), (16, 16, 1), 19),
+    "small": (replace(ModelConfig.small(), keypoints=2), (64, 64, 1), 2),
 }
 NUM_STEPS = 4
 SMALL = Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0))
 
 
 @pytest.fixture(autouse=True)
-def compiling(monkeypatch: pytest.MonkeyPatch) -> None:
+def compiling(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """By the compiled loop, on two threads."""
     monkeypatch.setattr("preimage.network.engines.ENGINES", [closed_loop_engine])
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(threads)
 
 
 def network(config: ModelConfig, size: tuple[int, int, int], batch: int, dtype: torch.dtype) -> PDVMRNN:
@@ -50,15 +61,15 @@ def start_of(model: PDVMRNN, batch: int) -> tuple[Tensor, Tensor]:
     return pixels.to(model.pixel_bias.dtype), codes.to(model.code_bias.dtype)
 
 
-def by_torch(model: PDVMRNN, start: tuple[Tensor, Tensor]) -> Generated:
+def by_torch(model: PDVMRNN, start: tuple[Tensor, Tensor], dtype: torch.dtype | None = None) -> Generated:
     """The same loop, that the model does not recognise as one it may compile."""
     intention = model.intention_table.intentions()
-    return model._generate(intention, start, NUM_STEPS, lambda step, predicted: predicted, None)
+    return model._generate(intention, start, NUM_STEPS, lambda step, predicted: predicted, dtype)
 
 
-def compiled(model: PDVMRNN, start: tuple[Tensor, Tensor]) -> Generated:
-    assert serves(model, start, None)
-    return model.generate_closed_loop(model.intention_table.intentions(), start, num_steps=NUM_STEPS)
+def compiled(model: PDVMRNN, start: tuple[Tensor, Tensor], dtype: torch.dtype | None = None) -> Generated:
+    assert serves(model, start, dtype)
+    return model.generate_closed_loop(model.intention_table.intentions(), start, num_steps=NUM_STEPS, dtype=dtype)
 
 
 def answers(model: PDVMRNN, batch: int, loop: Callable[[PDVMRNN, tuple[Tensor, Tensor]], Generated]) -> dict[str, Tensor | None]:
@@ -91,6 +102,30 @@ def test_single_precision_rounds_as_it_should() -> None:
             assert told[name] is None
             continue
         torch.testing.assert_close(told[name], value.float(), rtol=0, atol=1e-5 * max(1.0, value.abs().max().item()), msg=name)
+
+
+def test_sequences_on_threads_are_the_same_sequences_and_bit_for_bit_every_time() -> None:
+    model = network(THREE_LEVELS, (32, 16, 1), 5, torch.float32)
+    first, again = (answers(model, 5, compiled) for _ in range(2))
+    torch.set_num_threads(1)
+    alone = answers(model, 5, compiled)
+    for name, value in first.items():
+        if value is not None:
+            assert torch.equal(value, again[name]), name
+    torch.testing.assert_close(first, alone, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.skipif(not is_compiled(), reason="this processor has no bfloat16 that is compiled for")
+def test_bfloat16_rounds_no_more_than_it_does_in_torch() -> None:
+    config = replace(THREE_LEVELS, keypoints=3, seen_channels=4)
+    model = network(config, (32, 16, 3), 3, torch.float32)
+    exact = answers(deepcopy(model).double(), 3, by_torch)
+    told = answers(model, 3, lambda model, start: compiled(model, start, torch.bfloat16))
+    rounded = answers(model, 3, lambda model, start: by_torch(model, start, torch.bfloat16))
+    for name, value in exact.items():
+        if value is not None and "to_keypoints.bias" not in name:  # which has no effect: the gradient is noise
+            errors = [(each[name] - value).norm() / value.norm() for each in (told, rounded)]
+            assert 1e-5 < errors[0] < 1.5 * errors[1] + 1e-3, name
 
 
 def test_frozen_weights_get_no_gradient_and_the_intention_the_same() -> None:
@@ -142,13 +177,16 @@ def test_a_training_goes_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0 < apart(quick, slow, begun=begun) < 1e-4
 
 
-def test_what_it_cannot_or_need_not_do_is_left_to_torch() -> None:
-    model, keypoints = PDVMRNN(ModelConfig.tiny(), SMALL), PDVMRNN(ModelConfig(keypoints=2, vision_channels=(6, 8, 8)), SMALL)
+def test_what_it_cannot_or_need_not_do_is_left_to_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, paper = PDVMRNN(ModelConfig.tiny(), SMALL), PDVMRNN(ModelConfig.paper(), SMALL)
     start = start_of(model, 1)
     assert serves(model, start, torch.float32)
-    assert serves(model, start, torch.bfloat16), "in single precision, which is more"
+    assert serves(paper, start, torch.float32)
     assert not serves(model, start, torch.float64)
     assert not serves(model, (start[0].double(), start[1]), None)
-    assert not serves(keypoints, start, None)
-    assert not serves(PDVMRNN(ModelConfig.paper(), SMALL), start, None)
+    for by_processor, by_us in ((True, True), (True, False), (False, False)):
+        monkeypatch.setattr("preimage.compute.precision.computes_bfloat16", lambda device, answer=by_processor: answer)
+        monkeypatch.setattr("preimage.fast.bfloat16.is_compiled", lambda answer=by_us: answer)
+        assert serves(model, start, torch.bfloat16) == (by_us or not by_processor), "emulated it is slower than in single precision"
+        assert serves(paper, start, torch.bfloat16) == (not by_processor), "large matrices are read faster in bfloat16"
     assert imagined(0, start) is start

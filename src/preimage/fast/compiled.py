@@ -11,23 +11,30 @@ arrays (slices that begin at 0) and divide without a check.
 numba caches compiled code by the age of the file of the outermost function, which is this one.
 """
 
-# pyright: reportGeneralTypeIssues=false
-# What an intrinsic returns cannot be seen from its declaration.
+# pyright: reportGeneralTypeIssues=false, reportArgumentType=false
+# What numba declares says too little.
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 
-from preimage.fast.convolution import OPTIONS, add_nine, correlate, products
-from preimage.fast.simd import tanh
+from preimage.fast.bfloat16 import halve, margin_of, pair_channels, pair_weights
+from preimage.fast.convolution import OPTIONS, correlate, products
+from preimage.fast.matrix import multiply, multiply_transposed
+from preimage.fast.simd import VECTOR_SIZE, horizontal_sum, tanh
 
 CHUNK = 2048
 """Numbers of a channel that a weight gradient goes through before the next channel: split_gates such chunks fit the first cache."""
 
-CONVOLUTION, MATRIX, SCATTER, GATES, PIXELS, CODES = range(6)
-"""Kinds of operations: a 3x3 convolution, a matrix, a rearrangement, an LSTM's gates, and the outputs: pixels and joint codes."""
+INLINED = {name: OPTIONS[name] for name in ("fastmath", "error_model")}
+"""Options of what becomes part of the function that calls it."""
+
+CONVOLUTION, MATRIX, SCATTER, POINTS, GATES, PIXELS, CODES = range(7)
+"""Kinds of operations: a 3x3 convolution, a matrix, a rearrangement, the positions of keypoints, an LSTM's gates, and the outputs: pixels
+and joint codes."""
 FIELDS = (
     *("kind", "source", "source_now", "target", "target_now", "inputs", "outputs", "batch", "size", "row", "image"),
-    *("weight", "bias", "cell", "tanh_cell", "spare", "first", "count"),
+    *("weight", "bias", "cell", "tanh_cell", "spare", "first", "count", "tape"),
 )
 OPERATION = np.dtype([*((name, np.int64) for name in FIELDS), ("factor", np.float64)])
 """One line of a program; fields that a kind does not use are 0. Indices count from the start of a step's buffer."""
@@ -67,12 +74,30 @@ def clear_padding(y, first, channels, op):
         y[channel + op.batch * op.image : channel + op.size] = 0
 
 
+def add_correlation(x, source, inputs, y, target, outputs, op, kernels, scratch):
+    """Add a 3x3 correlation of the inputs to the outputs, in bfloat16 where the scratch is for pairs of that."""
+    raise NotImplementedError
+
+
+@overload(add_correlation, jit_options=INLINED)
+def add_correlation_at(x, source, inputs, y, target, outputs, op, kernels, scratch):
+    def whole(x, source, inputs, y, target, outputs, op, kernels, scratch):
+        correlate(x, source, inputs, y, target, outputs, op.size, op.row, kernels, op.weight, op.spare)
+
+    def in_pairs(x, source, inputs, y, target, outputs, op, kernels, scratch):
+        margin = margin_of(op.row)
+        count = pair_channels(x, source, inputs, op.size, scratch[0], margin)
+        correlate(scratch[0], margin, count, y, target, outputs, op.size, op.row, kernels, op.weight, op.spare)
+
+    return in_pairs if scratch.dtype == types.uint32 else whole
+
+
 @njit(**OPTIONS)
-def convolution_forward(op, x, y, weights):
+def convolution_forward(op, x, y, weights, kernels, scratch):
     """A 3x3 convolution that keeps the size of the feature maps."""
     for n in range(op.outputs):
         y[op.target + n * op.size : op.target + (n + 1) * op.size] = weights[op.bias + n]
-    correlate(x, op.source, op.inputs, y, op.target, op.outputs, op.size, op.row, weights, op.weight, op.spare)
+    add_correlation(x, op.source, op.inputs, y, op.target, op.outputs, op, kernels, scratch)
     clear_padding(y, op.target, op.outputs, op)
 
 
@@ -91,44 +116,70 @@ def flipped(operations, weights):
 
 
 @njit(**OPTIONS)
-def convolution_backward(op, grad_x, grad_y, flipped_weights):
-    correlate(grad_y, op.target, op.outputs, grad_x, op.source, op.inputs, op.size, op.row, flipped_weights, op.weight, op.spare)
+def paired(operations, weights, exchanged):
+    """The weights of all convolutions in bfloat16, after or before inputs and outputs are exchanged."""
+    result = np.empty(len(weights), np.uint32)
+    for line in range(len(operations)):
+        op = operations[line]
+        if op.kind == CONVOLUTION:
+            outputs, inputs = (op.inputs, op.outputs) if exchanged else (op.outputs, op.inputs)
+            pair_weights(weights, op.weight, outputs, inputs, result)
+    return result
+
+
+@njit(**OPTIONS)
+def convolution_backward(op, grad_x, grad_y, kernels, scratch):
+    add_correlation(grad_y, op.target, op.outputs, grad_x, op.source, op.inputs, op, kernels, scratch)
     clear_padding(grad_x, op.source, op.inputs, op)
 
 
 @njit(**OPTIONS)
-def convolution_weight_gradient(op, x, grad_y, grad_weights):
-    """Add the gradients of the weights: of three channels at a time, 27 sums in registers."""
-    size, step = op.size, 9 * op.inputs
+def convolution_weight_gradient(op, x, grad_y, grad_weights, scratch):
     for n in range(op.outputs):
-        grad_weights[op.bias + n] += sum_of(grad_y[op.target + n * size : op.target + (n + 1) * size])
+        grad_weights[op.bias + n] += sum_of(grad_y[op.target + n * op.size : op.target + (n + 1) * op.size])
+    add_products(x, grad_y, op, grad_weights, scratch)
+
+
+def add_products(x, grad_y, op, grad_weights, scratch):
+    """Add the gradients of a convolution's kernels, in bfloat16 where the scratch is for pairs of that."""
+    raise NotImplementedError
+
+
+@overload(add_products, jit_options=INLINED)
+def add_products_at(x, grad_y, op, grad_weights, scratch):
+    def whole(x, grad_y, op, grad_weights, scratch):
+        add_products_of(x, op.source, grad_y, op.target, op, grad_weights, VECTOR_SIZE)
+
+    def in_pairs(x, grad_y, op, grad_weights, scratch):
+        margin, halves, gradients = margin_of(op.row), scratch[0].view(np.uint16), scratch[1].view(np.uint16)
+        halve(x, op.source, op.inputs * op.size, halves, margin)
+        halve(grad_y, op.target, op.outputs * op.size, gradients, margin)
+        add_products_of(halves, margin, gradients, margin, op, grad_weights, 2 * VECTOR_SIZE)
+
+    return in_pairs if scratch.dtype == types.uint32 else whole
+
+
+@njit(**OPTIONS)
+def add_products_of(x, source, grad_y, target, op, grad_weights, in_vector):
+    """Of three channels at a time, 27 sums in registers."""
+    size, step, zero = op.size, 9 * op.inputs, grad_weights.dtype.type(0)
     for begin in range(0, size, CHUNK):
         length = min(CHUNK, size - begin)
         for n in range(0, op.outputs, 3):
-            a, left = op.target + n * size + begin, op.outputs - 1 - n
+            a, left = target + n * size + begin, op.outputs - 1 - n
             b, c = a + min(1, left) * size, a + min(2, left) * size
             for i in range(op.inputs):
-                u, v, w = products(x, op.source + i * size + begin, length, op.row, grad_y, a, b, c)
+                sums = products(x, source + i * size + begin, length, op.row, grad_y, a, b, c, zero, in_vector)
                 first = op.weight + 9 * (n * op.inputs + i)
-                add_nine(grad_weights, first, u)
-                if left > 0:
-                    add_nine(grad_weights, first + step, v)
-                if left > 1:
-                    add_nine(grad_weights, first + 2 * step, w)
+                for k in range(min(3, left + 1)):
+                    for tap in range(9):
+                        grad_weights[first + k * step + tap] += horizontal_sum(sums[tap][k])
 
 
 @njit(**OPTIONS)
 def add_scaled(y, x, factor):
     for i in range(len(y)):
         y[i] += factor * x[i]
-
-
-@njit(**OPTIONS)
-def dot(x, y):
-    total = x.dtype.type(0)
-    for i in range(len(x)):
-        total += x[i] * y[i]
-    return total
 
 
 @njit(**OPTIONS)
@@ -141,28 +192,66 @@ def sum_of(x):
 
 @njit(**OPTIONS)
 def matrix_forward(op, x, y, weights):
-    """A matrix product: for every input, its weights to all outputs."""
-    outputs, batch = op.outputs, op.size
-    for row in range(batch):
-        result = weights[op.bias : op.bias + outputs].copy()
-        for i in range(op.inputs):
-            first = op.weight + i * outputs
-            add_scaled(result, weights[first : first + outputs], x[op.source + i * batch + row])
-        y[op.target + row : op.target + outputs * batch : batch] = result
+    batch = op.size
+    for n in range(op.outputs):
+        y[op.target + n * batch : op.target + (n + 1) * batch] = weights[op.bias + n]
+    multiply(weights, op.weight, op.inputs, op.outputs, x, op.source, batch, y, op.target)
 
 
 @njit(**OPTIONS)
-def matrix_backward(op, x, grad_x, grad_y, weights, grad_weights, learned):
-    outputs, batch = op.outputs, op.size
-    for row in range(batch):
-        gradient = grad_y[op.target + row : op.target + outputs * batch : batch].copy()
-        for i in range(op.inputs):
-            first, place = op.weight + i * outputs, op.source + i * batch + row
-            grad_x[place] += dot(weights[first : first + outputs], gradient)
-            if learned:
-                add_scaled(grad_weights[first : first + outputs], gradient, x[place])
-        if learned:
-            add_scaled(grad_weights[op.bias : op.bias + outputs], gradient, gradient.dtype.type(1))
+def matrix_backward(op, grad_x, grad_y, weights):
+    multiply_transposed(weights, op.weight, op.inputs, op.outputs, grad_y, op.target, op.size, grad_x, op.source)
+
+
+@njit(**OPTIONS)
+def record(op, grad_y, tape):
+    """The weights of a matrix get their gradients from the outputs' of all steps, by one large product (`fast.loop`)."""
+    count = op.outputs * op.size
+    tape[op.tape : op.tape + count] = grad_y[op.target : op.target + count]
+
+
+@njit(**OPTIONS)
+def points_forward(op, x, y):
+    """The mean positions under the softmax of each map (`network.cells.expected_positions`), which takes the place of the map."""
+    height, width, factor = op.image // op.row - 1, op.row - 1, x.dtype.type(op.factor)
+    for n in range(op.inputs):
+        for sequence in range(op.batch):
+            first = op.source + n * op.size + sequence * op.image
+            heat = x[first : first + op.image]
+            largest = heat[0]
+            for line in range(height):
+                for p in range(line * op.row, line * op.row + width):
+                    largest = max(largest, heat[p])
+            total = of_columns = of_lines = x.dtype.type(0)
+            for line in range(height):
+                of_line = x.dtype.type(0)
+                for column in range(width):
+                    weight = np.exp(factor * (heat[line * op.row + column] - largest))
+                    heat[line * op.row + column] = weight
+                    of_line += weight
+                    of_columns += weight * column
+                total += of_line
+                of_lines += of_line * line
+            for p in range(op.image):
+                heat[p] /= total
+            y[op.target + n * op.batch + sequence] = 2 * of_columns / (total * max(width - 1, 1)) - 1
+            y[op.target + (op.inputs + n) * op.batch + sequence] = 2 * of_lines / (total * max(height - 1, 1)) - 1
+
+
+@njit(**OPTIONS)
+def points_backward(op, x, y, grad_x, grad_y):
+    height, width, factor = op.image // op.row - 1, op.row - 1, x.dtype.type(op.factor)
+    to_column, to_line = x.dtype.type(2 / max(width - 1, 1)), x.dtype.type(2 / max(height - 1, 1))
+    for n in range(op.inputs):
+        for sequence in range(op.batch):
+            first, one = op.source + n * op.size + sequence * op.image, op.target + n * op.batch + sequence
+            other = one + op.inputs * op.batch
+            weights, grad_heat = x[first : first + op.image], grad_x[first : first + op.image]
+            for line in range(height):
+                of_line = grad_y[other] * (to_line * line - 1 - y[other])
+                for column in range(width):
+                    p = line * op.row + column
+                    grad_heat[p] = factor * weights[p] * (of_line + grad_y[one] * (to_column * column - 1 - y[one]))
 
 
 @njit(**OPTIONS)
@@ -215,20 +304,25 @@ def gates_backward(op, now, before, grad_now, grad_before):
 @njit(**OPTIONS)
 def pixels_forward(op, now, weights):
     """Pixels: the tanh of the last layer's output plus a bias for every pixel."""
-    size = op.outputs * op.size
-    x, y, bias = now[op.source : op.source + size], now[op.target : op.target + size], weights[op.bias : op.bias + size]
-    for p in range(size):
-        y[p] = tanh(x[p] + bias[p])
+    for n in range(op.outputs):
+        bias = weights[op.bias + n * op.image : op.bias + (n + 1) * op.image]
+        for first in range(n * op.size, n * op.size + op.batch * op.image, op.image):
+            x, y = now[op.source + first : op.source + first + op.image], now[op.target + first : op.target + first + op.image]
+            for p in range(op.image):
+                y[p] = tanh(x[p] + bias[p])
 
 
 @njit(**OPTIONS)
 def pixels_backward(op, now, grad_now, grad_weights):
-    size = op.outputs * op.size
-    y, grad_y, grad_x = now[op.target : op.target + size], grad_now[op.target : op.target + size], grad_now[op.source : op.source + size]
-    grad_bias, one = grad_weights[op.bias : op.bias + size], now.dtype.type(1)
-    for p in range(size):
-        grad_x[p] = grad_y[p] * (one - y[p] * y[p])
-    add_scaled(grad_bias, grad_x, one)
+    one = now.dtype.type(1)
+    for n in range(op.outputs):
+        grad_bias = grad_weights[op.bias + n * op.image : op.bias + (n + 1) * op.image]
+        for first in range(n * op.size, n * op.size + op.batch * op.image, op.image):
+            y, grad_y = now[op.target + first : op.target + first + op.image], grad_now[op.target + first : op.target + first + op.image]
+            grad_x = grad_now[op.source + first : op.source + first + op.image]
+            for p in range(op.image):
+                grad_x[p] = grad_y[p] * (one - y[p] * y[p])
+            add_scaled(grad_bias, grad_x, one)
 
 
 @njit(**OPTIONS)
@@ -260,7 +354,7 @@ def codes_backward(op, now, grad_now, grad_weights):
 
 
 @njit(**OPTIONS)
-def go_forward(operations, cleared, moves, initial_at, pixels_at, codes_at, weights, buffers, initial, pixels, log_codes):
+def go_forward(operations, cleared, moves, initial_at, pixels_at, codes_at, weights, kernels, scratch, buffers, initial, pixels, log_codes):
     """All steps; the buffers are used in turn where there are fewer of them than steps."""
     buffers[0] = 0
     add_to(initial_at, buffers[0], initial)
@@ -271,11 +365,13 @@ def go_forward(operations, cleared, moves, initial_at, pixels_at, codes_at, weig
             op = operations[line]
             x, y = now if op.source_now else before, now if op.target_now else before
             if op.kind == CONVOLUTION:
-                convolution_forward(op, x, y, weights)
+                convolution_forward(op, x, y, weights, kernels, scratch)
             elif op.kind == MATRIX:
                 matrix_forward(op, x, y, weights)
             elif op.kind == SCATTER:
                 scatter(moves[0, op.first : op.first + op.count], moves[1, op.first : op.first + op.count], x, y, op.factor)
+            elif op.kind == POINTS:
+                points_forward(op, x, y)
             elif op.kind == GATES:
                 gates_forward(op, now, before)
             elif op.kind == PIXELS:
@@ -295,15 +391,17 @@ def go_backward(
     pixels_at,
     codes_at,
     weights,
+    kernels,
+    scratch,
     buffers,
     grad_pixels,
     grad_codes,
     grad_weights,
     grad_initial,
+    tape,
     learned,
 ):
     """The gradients of all weights, where these are learned, and of the loop's initial values."""
-    flipped_weights = flipped(operations, weights)
     grad_now, grad_before = np.zeros_like(buffers[0]), np.zeros_like(buffers[0])
     for step in range(grad_pixels.shape[1] - 1, -1, -1):
         before, now = buffers[step], buffers[step + 1]
@@ -313,15 +411,19 @@ def go_backward(
         for line in range(len(operations) - 1, -1, -1):
             op = operations[line]
             x, grad_x = (now, grad_now) if op.source_now else (before, grad_before)
-            grad_y = grad_now if op.target_now else grad_before
+            y, grad_y = (now, grad_now) if op.target_now else (before, grad_before)
             if op.kind == CONVOLUTION:
-                convolution_backward(op, grad_x, grad_y, flipped_weights)
+                convolution_backward(op, grad_x, grad_y, kernels, scratch)
                 if learned:
-                    convolution_weight_gradient(op, x, grad_y, grad_weights)
+                    convolution_weight_gradient(op, x, grad_y, grad_weights, scratch)
             elif op.kind == MATRIX:
-                matrix_backward(op, x, grad_x, grad_y, weights, grad_weights, learned)
+                matrix_backward(op, grad_x, grad_y, weights)
+                if learned:
+                    record(op, grad_y, tape[step])
             elif op.kind == SCATTER:
                 scatter(moves[1, op.first : op.first + op.count], moves[0, op.first : op.first + op.count], grad_y, grad_x, op.factor)
+            elif op.kind == POINTS:
+                points_backward(op, x, y, grad_x, grad_y)
             elif op.kind == GATES:
                 gates_backward(op, now, before, grad_now, grad_before)
             elif op.kind == PIXELS:

@@ -19,7 +19,7 @@ from typing import Any
 
 from numba import njit
 
-from preimage.fast.simd import VECTOR_SIZE, broadcast, horizontal_sum, load, multiply_add, store
+from preimage.fast.simd import VECTOR_SIZE, broadcast, load, multiply_add, store
 
 
 def can_cache() -> bool:
@@ -85,35 +85,28 @@ def multiply_add_two(sums, weight, two):
 
 
 @njit(**OPTIONS)
-def products(x, source, length, row, grad_y, a, b, c):
-    """Of the nine taps around each place of x with the gradients of three channels, which begin at a, b and c."""
-    zero = broadcast(x.dtype.type(0))
-    u = v = w = (zero, zero, zero, zero, zero, zero, zero, zero, zero)
-    for p in range(0, length, VECTOR_SIZE):
-        taps = nine_taps(x, source + p, row)
-        u = multiply_add_nine(u, load(grad_y, a + p), taps)
-        v = multiply_add_nine(v, load(grad_y, b + p), taps)
-        w = multiply_add_nine(w, load(grad_y, c + p), taps)
-    return u, v, w
+def products(x, source, length, row, grad_y, a, b, c, zero, step):
+    """Of the nine taps around each place of x with the gradients of three channels, which begin at a, b and c.
+
+    Tap by tap, so that only one of them needs a register beside the 27 sums. A vector holds so many numbers as step says.
+    """
+    zero = broadcast(zero)
+    three = zero, zero, zero
+    s = three, three, three, three, three, three, three, three, three
+    for p in range(0, length, step):
+        y = load(grad_y, a + p), load(grad_y, b + p), load(grad_y, c + p)
+        middle = source + p
+        upper, lower = multiply_add_line(s[:3], y, x, middle - row), multiply_add_line(s[6:], y, x, middle + row)
+        s = upper + multiply_add_line(s[3:6], y, x, middle) + lower
+    return s
 
 
 @njit(**OPTIONS)
-def nine_taps(x, p, row):
-    above, middle, below = p - row, p, p + row
-    upper = load(x, above - 1), load(x, above), load(x, above + 1)
-    return *upper, load(x, middle - 1), load(x, middle), load(x, middle + 1), load(x, below - 1), load(x, below), load(x, below + 1)
+def multiply_add_line(sums, y, x, p):
+    left, middle = multiply_add_three(sums[0], y, load(x, p - 1)), multiply_add_three(sums[1], y, load(x, p))
+    return left, middle, multiply_add_three(sums[2], y, load(x, p + 1))
 
 
 @njit(**OPTIONS)
-def multiply_add_nine(sums, y, taps):
-    s, x = sums, taps
-    first = multiply_add(s[0], y, x[0]), multiply_add(s[1], y, x[1]), multiply_add(s[2], y, x[2])
-    second = multiply_add(s[3], y, x[3]), multiply_add(s[4], y, x[4]), multiply_add(s[5], y, x[5])
-    return *first, *second, multiply_add(s[6], y, x[6]), multiply_add(s[7], y, x[7]), multiply_add(s[8], y, x[8])
-
-
-@njit(**OPTIONS)
-def add_nine(numbers, first, nine):
-    """Add the sums of nine vectors to nine consecutive numbers."""
-    for i in range(9):
-        numbers[first + i] += horizontal_sum(nine[i])
+def multiply_add_three(sums, y, tap):
+    return multiply_add(sums[0], y[0], tap), multiply_add(sums[1], y[1], tap), multiply_add(sums[2], y[2], tap)

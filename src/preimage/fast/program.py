@@ -20,20 +20,17 @@ then run the list, step by step, forward and backward. What `PDVMRNN.at` does wi
 # pyright: reportIncompatibleMethodOverride=false, reportCallIssue=false, reportArgumentType=false
 # torch declares forward and backward of a Function with any arguments; the type of a ModuleList does not say what it holds.
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
-from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
-from torch.nn import functional
+from torch import Tensor
 
-from preimage.fast.compiled import CODES, CONVOLUTION, GATES, MATRIX, OPERATION, PIXELS, SCATTER, go_backward, go_forward
+from preimage.fast.bfloat16 import margin_of
+from preimage.fast.compiled import CODES, CONVOLUTION, GATES, MATRIX, OPERATION, PIXELS, POINTS, SCATTER
 from preimage.fast.convolution import TILE
-from preimage.network.cells import State, depth_to_space, space_to_depth
-from preimage.network.linear import Conv
+from preimage.network.cells import SHARPNESS, depth_to_space, space_to_depth
 
 
 class Block(NamedTuple):
@@ -80,7 +77,7 @@ class Program:
     """A network as a list of operations, for a batch of this size."""
 
     def __init__(self, model: Any, batch: int) -> None:
-        self.batch, self.length, self.num_weights = batch, 0, 0
+        self.batch, self.length, self.num_weights, self.num_matrix_weights, self.tape = batch, 0, 0, 0, 0
         self.maps: list[tuple[str, int]] = []
         self.lines: list[dict[str, float]] = []
         self.moves: list[Tensor] = []
@@ -99,13 +96,19 @@ class Program:
         self.spare = self.block(TILE)
         self._write_step(model)
         self.length += max(block.row for block in (self.pixels, *self.inputs.values())) + 1  # zeros behind the last channel
+        for line in self.lines:
+            if line["kind"] == MATRIX:  # the large weights come last, for they get their gradients by themselves
+                line |= {"weight": line["weight"] + self.num_weights, "bias": line["bias"] + self.num_weights}
+        convolved = [line for line in self.lines if line["kind"] == CONVOLUTION]
+        pairs = [((max(line["inputs"], line["outputs"]) + 1) // 2 * line["size"], margin_of(line["row"])) for line in convolved]
+        self.scratch = int(max(count + 2 * margin for count, margin in pairs))
         self.operations = np.array([tuple(line.get(name, 0) for name in OPERATION.names or ()) for line in self.lines], OPERATION)
         self.indices = torch.cat(self.moves, dim=1).int().numpy()  # (2, number of moves): sources and targets
         read = depth_to_space(self.pixels.indices()).flatten(1), self.log_codes.indices().flatten(1)
         self.read = [indices.int().contiguous().numpy() for indices in read]
         states = [part[name].indices() for name in shapes for part in (self.hidden, self.cells)]
         initial = [*states, depth_to_space(self.pixels.indices()), self.codes.indices()]
-        self.initial = torch.cat([indices.flatten() for indices in initial])[None].int().numpy()
+        self.initial = torch.cat([indices.flatten(1) for indices in initial], dim=1).int().numpy()
         self.lists = self.operations, self.cleared, self.indices, self.initial, *self.read
 
     def block(self, channels: int, height: int = 0, width: int = 0) -> Block:
@@ -122,10 +125,15 @@ class Program:
 
     def map(self, kind: int, name: str, source: Block, target: Block) -> None:
         """A linear map with the weights of the submodule of this name."""
-        bias = self.num_weights + source.channels * target.channels * (9 if kind == CONVOLUTION else 1)
-        self.write(kind, source, target, weight=self.num_weights, bias=bias)
         self.maps.append((name, kind))
-        self.num_weights = bias + target.channels
+        count = source.channels * target.channels
+        if kind == MATRIX:
+            self.write(kind, source, target, weight=self.num_matrix_weights, bias=self.num_matrix_weights + count, tape=self.tape)
+            self.num_matrix_weights += count + target.channels
+            self.tape += target.channels * self.batch
+        else:
+            self.write(kind, source, target, weight=self.num_weights, bias=self.num_weights + 9 * count)
+            self.num_weights += 9 * count + target.channels
 
     def move(self, source: Block, target: Block, rearrange: Callable[[Tensor], Tensor] = lambda maps: maps) -> None:
         self.add(source, target, rearrange(source.indices()), target.indices())
@@ -171,6 +179,13 @@ class Program:
         self.map(CONVOLUTION, name, coarse, features)
         self.move(features, target, lambda indices: indices.permute(0, 2, 3, 1))
 
+    def point(self, name: str, maps: Block, target: Block) -> None:
+        """`network.cells.expected_positions`: from feature maps to the positions of keypoints."""
+        heat = self.block(target.channels // 2, maps.height, maps.width)
+        self.map(CONVOLUTION, name, maps, heat)
+        shape = {"inputs": heat.channels, "size": heat.size, "row": heat.row, "image": heat.image}
+        self.write(POINTS, heat, target, factor=SHARPNESS, **shape)
+
     def _write_step(self, model: Any) -> None:
         """`PDVMRNN.at`, operation by operation."""
         config, inputs, before = model.config, self.inputs, self.hidden
@@ -194,6 +209,9 @@ class Program:
             self.move(motor_above, inputs[motor].part(num_below, above))
             features = inputs[motor].part(num_below + above, config.seen_channels * grid[0] * grid[1])
             self.from_maps(f"laterals.{k}.from_vision", before[vision], grid, config.seen_channels, features)
+            if config.keypoints:
+                points = inputs[motor].part(num_below + above + features.channels, 2 * config.keypoints)
+                self.point(f"laterals.{k}.to_keypoints", before[vision], points)
             self.gate(vision)
             self.gate(motor)
             vision_above, motor_above = now[vision], now[motor]
@@ -202,9 +220,10 @@ class Program:
     def _read_out(self, vision: Block, motor: Block, units_per_joint: int) -> None:
         self.map(CONVOLUTION, "to_pixels.project", vision, self.pixel_inputs)
         self.map(MATRIX, "to_codes", motor, self.logits)
-        pixel_bias, code_bias = self.num_weights, self.num_weights + self.pixel_inputs.channels * self.pixel_inputs.size
-        self.write(PIXELS, self.pixel_inputs, self.pixels, bias=pixel_bias)
-        self.write(CODES, self.logits, self.log_codes, cell=self.codes.offset, bias=code_bias, count=units_per_joint)
+        self.write(PIXELS, self.pixel_inputs, self.pixels, bias=self.num_weights)
+        self.num_weights += self.pixel_inputs.channels * self.pixel_inputs.image
+        self.write(CODES, self.logits, self.log_codes, cell=self.codes.offset, bias=self.num_weights, count=units_per_joint)
+        self.num_weights += self.logits.channels
 
 
 def cell_of(name: str) -> str:
@@ -215,68 +234,3 @@ def cell_of(name: str) -> str:
 
 def enlarged(indices: Tensor, scale: int) -> Tensor:
     return indices.repeat_interleave(scale, -2).repeat_interleave(scale, -1)
-
-
-def weights_of(model: Any, program: Program) -> Tensor:
-    """All weights in the order of the program, concatenated."""
-    parts = []
-    for name, kind in program.maps:
-        layer = model.get_submodule(name)
-        if kind == MATRIX:
-            weight = layer.weight.t()  # the weights of one input are contiguous, so that those to all outputs make a vector
-        else:
-            weight = layer.weight if isinstance(layer, Conv) else functional.pad(layer.weight[..., None, None], (1, 1, 1, 1))
-        parts += [weight, layer.bias]
-    pixel_inputs = program.pixel_inputs
-    channels = space_to_depth(model.pixel_bias[None]).movedim(0, 1).expand(-1, program.batch, -1, -1)  # (4 C, B, H / 2, W / 2)
-    channels = functional.pad(channels, (0, 1, 0, 1)).flatten(1)
-    channels = functional.pad(channels, (0, pixel_inputs.size - channels.shape[1]))  # (4 C, numbers of a channel)
-    return torch.cat([part.flatten() for part in (*parts, channels, model.code_bias)])
-
-
-PROGRAMS: WeakKeyDictionary[nn.Module, dict[int, Program]] = WeakKeyDictionary()
-"""Programs already written, by network and batch size."""
-
-
-def closed_loop(model: Any, states: Mapping[str, State], start: tuple[Tensor, Tensor], *, num_steps: int) -> tuple[Tensor, Tensor]:
-    """The predicted pixels (B, T, C, H, W) and log codes (B, T, J, K).
-
-    Args:
-        model: a `PDVMRNN` without keypoints, on the CPU, in single or double precision.
-        states: hidden and cell state of every layer before the first step.
-        start: pixels (B, C, H, W) and codes (B, J, K) of the first input.
-    """
-    pixels, codes = start
-    programs = PROGRAMS.setdefault(model, {})
-    program = programs.get(len(pixels)) or programs.setdefault(len(pixels), Program(model, len(pixels)))
-    parts = [*(part for name in program.hidden for part in states[name]), pixels, codes]
-    initial = torch.cat([part.flatten() for part in parts])[None]
-    weights = weights_of(model, program)
-    keep_steps = torch.is_grad_enabled() and (initial.requires_grad or weights.requires_grad)
-    predicted, log_codes = ClosedLoop.apply(weights, initial, program, num_steps, keep_steps)  # pyright: ignore[reportGeneralTypeIssues]
-    return predicted.unflatten(2, pixels.shape[1:]), log_codes.unflatten(2, codes.shape[1:])
-
-
-class ClosedLoop(torch.autograd.Function):
-    """From all weights and the initial values of a closed loop to its predictions."""
-
-    @staticmethod
-    def forward(ctx: Any, weights: Tensor, initial: Tensor, program: Program, num_steps: int, keep_steps: bool) -> tuple[Tensor, ...]:
-        predicted = [weights.new_empty(len(indices), num_steps, indices.shape[1]) for indices in program.read]
-        buffers = weights.new_empty(num_steps + 1 if keep_steps else 2, program.length)
-        go_forward(*program.lists, *(each.detach().numpy() for each in (weights, buffers, initial, *predicted)))
-        if not (weights.isfinite().all() and initial.isfinite().all()):  # fast arithmetic assumes that they are
-            predicted = [each.fill_(torch.nan) for each in predicted]
-        ctx.program = program
-        ctx.save_for_backward(weights, buffers)
-        return tuple(predicted)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *grad_predicted: Tensor) -> tuple[Tensor | None, ...]:
-        weights, buffers = ctx.saved_tensors
-        learned = ctx.needs_input_grad[0]
-        grad_weights, grad_initial = torch.zeros_like(weights), weights.new_empty(ctx.program.initial.shape)
-        given = weights, buffers, *(each.contiguous() for each in grad_predicted), grad_weights, grad_initial
-        go_backward(*ctx.program.lists, *(each.detach().numpy() for each in given), learned)
-        return grad_weights if learned else None, grad_initial, None, None, None

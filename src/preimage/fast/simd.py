@@ -52,13 +52,14 @@ def pointer_to(context: Any, builder: Any, kind: types.Array, numbers: Any, firs
 
 @intrinsic
 def load(_: Any, numbers: types.Array, first: types.Integer) -> Any:
-    """A vector of an array's numbers, from an index on."""
+    """A vector of an array's numbers, from an index on; of numbers in bfloat16 (uint16) twice as many, as pairs."""
+    kind = types.uint32 if numbers.dtype == types.uint16 else numbers.dtype
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         vector = context.get_value_type(signature.return_type)
         return builder.load(pointer_to(context, builder, numbers, *values, vector), align=numbers.dtype.bitwidth // 8)
 
-    return Vector(numbers.dtype)(numbers, types.intp), code
+    return Vector(kind)(numbers, types.intp), code
 
 
 @intrinsic
@@ -74,7 +75,7 @@ def store(_: Any, numbers: types.Array, first: types.Integer, vector: Vector) ->
 
 
 @intrinsic
-def broadcast(_: Any, number: types.Float) -> Any:
+def broadcast(_: Any, number: types.Number) -> Any:
     """A vector of one number, repeated."""
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -85,14 +86,32 @@ def broadcast(_: Any, number: types.Float) -> Any:
     return Vector(number)(number), code
 
 
+class Pairs(ir.Type):
+    """LLVM's type of a vector of pairs in bfloat16."""
+
+    def _to_string(self) -> str:
+        return f"<{2 * VECTOR_SIZE} x bfloat>"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Pairs)
+
+    def __hash__(self) -> int:
+        return hash(Pairs)
+
+
 @intrinsic
 def multiply_add(_: Any, total: Vector, x: Vector, y: Vector) -> Any:
-    """total + x y."""
+    """total + x y; of pairs in bfloat16 (uint32) both products, by the instruction that AVX-512 has for it."""
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return builder.fadd(values[0], builder.fmul(*values[1:], flags=("fast",)), flags=("fast",))
 
-    return total(total, x, y), code
+    def code_of_pairs(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        shape = ir.FunctionType(values[0].type, [values[0].type, Pairs(), Pairs()])
+        add_products = get_or_insert_function(builder.module, shape, "llvm.x86.avx512bf16.dpbf16ps.512")
+        return builder.call(add_products, [values[0], *(builder.bitcast(each, Pairs()) for each in values[1:])])
+
+    return total(total, x, y), code_of_pairs if x.dtype == types.uint32 else code
 
 
 @intrinsic
