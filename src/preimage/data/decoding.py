@@ -137,7 +137,7 @@ def _orientation(image: Image.Image) -> int:
 
 def _orientation_shown(frame: av.VideoFrame) -> int:
     """The orientation of EXIF by which players show a frame: a phone writes how it was held beside the pictures of its sensor."""
-    given = frame.side_data.get(SideData.DISPLAYMATRIX)
+    given = frame.side_data.get(SideData.DISPLAYMATRIX.name)
     if given is None:
         return 1
     matrix = np.frombuffer(bytes(given), np.int32)[:6].reshape(2, 3)[:, :2] / 65536  # 16.16 fixed point; the third column is 0
