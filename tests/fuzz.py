@@ -11,7 +11,6 @@ is as it was, and nothing half-written is left.
 """
 
 import argparse
-import base64
 import hashlib
 import json
 import os
@@ -41,8 +40,8 @@ LABOUR = re.compile(
 """Options by which more work can be asked for: they are given small numbers, for a long work is no fault."""
 LEFT_OUT = re.compile("--(out|help|device|size|resume|overwrite|results|readme|work|goal|data)$")
 """Options that are no part of the words that are off: where to write, and what a case says itself."""
-WORDS = ["0", "1", "-1", "2", "3", "0.5", "nan", "inf", "-inf", "1e308", "1e-308", "9" * 20, "", "x", "é", "\udc80", "None", "True", "[1]", "../x", "/dev/zero", "joint1", "top"]
 SMALL_WORDS = ["0", "1", "-1", "2", "3", "0.5", "nan", "inf", "", "x", "None"]
+WORDS = [*SMALL_WORDS, "-inf", "1e308", "1e-308", "9" * 20, "é", "\udc80", "True", "[1]", "../x", "/dev/zero", "joint1", "top"]
 
 
 @dataclass
@@ -121,7 +120,8 @@ def case_of(chance: Random, inputs: Path, place: Path, options: dict[str, list[s
     if (off or chance.random() < 0.1) and options.get(case.words[0]):
         for _ in range(chance.choice([1, 1, 2])):
             option = chance.choice(options[case.words[0]])
-            case.words += [option, *(chance.choice(SMALL_WORDS if LABOUR.match(option) else WORDS) for _ in range(chance.choice([1, 1, 1, 0, 2, 4])))]
+            words = SMALL_WORDS if LABOUR.match(option) else WORDS
+            case.words += [option, *(chance.choice(words) for _ in range(chance.choice([1, 1, 1, 0, 2, 4])))]
     if chance.random() < 0.02:
         del case.words[chance.randrange(len(case.words))]
     return case
@@ -239,7 +239,8 @@ class Fault:
 
     def __str__(self) -> str:
         told = self.ended.err.encode(errors="replace").decode()[-1500:]
-        return f"{self.law}\n  words: {self.case.words}\n  damages: {self.case.damages}\n  code {self.ended.code} after {self.ended.seconds:.1f} s\n  {told}"
+        what = f"{self.law}\n  words: {self.case.words}\n  damages: {self.case.damages}"
+        return f"{what}\n  code {self.ended.code} after {self.ended.seconds:.1f} s\n  {told}"
 
 
 class Program:
@@ -326,7 +327,7 @@ def options_of(verb: str) -> list[str]:
 
 
 def forked(words: list[str], place: str) -> Ended:
-    out, err = (tempfile.TemporaryFile() for _ in range(2))
+    out, err = (tempfile.TemporaryFile() for _ in range(2))  # noqa: SIM115, closed when they were read
     began = time.monotonic()
     child = os.fork()
     if not child:

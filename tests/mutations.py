@@ -27,7 +27,8 @@ Mutation = Callable[[Path, Random], None]
 ODD_NUMBERS = [0, -1, 1, 2, 3, 0.5, -0.0, 7, 1000, 2**31, 2**63, 10**30, 1e-300, 1e18, 1e300, float("nan"), float("inf"), -float("inf")]
 ODD_TEXTS = [
     *("", " ", "x", "é", "nan", "1,5", "../..", "/etc/passwd", "/dev/zero", ".", "0", "-1", "1e999", "true", "a\nb", "a\0b", "a" * 5000),
-    *("{episode_index:09999999d}", "{}", "{0}", "{x!r}", "%s", "²", "\udc80", "deg", "rpm", "mm", "float32", "video", "int8", "v3.0", "v9.9"),
+    *("{episode_index:09999999d}", "{}", "{0}", "{x!r}", "%s", "²", "\udc80"),
+    *("deg", "rpm", "mm", "float32", "video", "int8", "v3.0", "v9.9"),
 ]
 ODD_VALUES = [None, True, False, [], {}, [[]], [None], {"": {}}, [1, [2, [3]]], *ODD_NUMBERS, *ODD_TEXTS]
 
@@ -59,7 +60,8 @@ def zero_a_part(path: Path, chance: Random) -> None:
 
 def replace_by_something_else(path: Path, chance: Random) -> None:
     pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12\n"
-    path.write_bytes(chance.choice([b"", b"\0", b"\n", pointer, b"{}", b"[]", b"null", b"\x80\x04.", b"PK\x05\x06" + bytes(18), b"[" * 20_000]))
+    archive, pickled, nested = b"PK\x05\x06" + bytes(18), b"\x80\x04.", b"[" * 20_000
+    path.write_bytes(chance.choice([b"", b"\0", b"\n", pointer, b"{}", b"[]", b"null", pickled, archive, nested]))
 
 
 def put_a_mark_before(path: Path, _chance: Random) -> None:
@@ -71,7 +73,8 @@ def take_away(path: Path, _chance: Random) -> None:
 
 
 def rename(path: Path, chance: Random) -> None:
-    path.rename(path.with_name(chance.choice(["x", "é", ".hidden", "1e9.png", "²" + path.suffix, path.stem, "new" + path.suffix, "-5" + path.suffix])))
+    names = ["x", "é", ".hidden", "1e9.png", path.stem, *(stem + path.suffix for stem in ("²", "new", "-5"))]
+    path.rename(path.with_name(chance.choice(names)))
 
 
 def copy_beside(path: Path, chance: Random) -> None:
@@ -171,13 +174,15 @@ def change_a_table(path: Path, chance: Random) -> None:
 
 def write_otherwise(path: Path, chance: Random) -> None:
     text = path.read_text()
-    path.write_bytes(chance.choice([text.encode("utf-16"), text.replace("\n", "\r\n").encode(), text.replace(".", ",").encode(), b'"' + text.encode()]))
+    others = [text.encode("utf-16"), text.replace("\n", "\r\n").encode(), text.replace(".", ",").encode(), b'"' + text.encode()]
+    path.write_bytes(chance.choice(others))
 
 
 # Parquet, arrays, tensors, pictures, films
 
 
-TYPES = [pa.float32(), pa.float64(), pa.float16(), pa.string(), pa.int8(), pa.int64(), pa.bool_(), pa.binary(), pa.null(), pa.list_(pa.float32())]
+TYPES = [pa.float32(), pa.float64(), pa.float16(), pa.int8(), pa.int64(), pa.bool_(), pa.string(), pa.binary(), pa.null()]
+TYPES += [pa.list_(pa.float32())]
 
 
 def change_a_column(path: Path, chance: Random) -> None:
@@ -187,7 +192,8 @@ def change_a_column(path: Path, chance: Random) -> None:
     if what == 0:
         table = table.drop_columns([name])
     elif what == 1:
-        table = table.rename_columns([each if each != name else chance.choice(["x", "", *table.column_names]) for each in table.column_names])
+        other = chance.choice(["x", "", *table.column_names])
+        table = table.rename_columns([other if each == name else each for each in table.column_names])
     elif what == 2:
         table = table.slice(0, chance.choice([0, 1, max(0, rows - 1)]))
     elif what == 3:
@@ -275,7 +281,8 @@ def save_another_model(path: Path, chance: Random) -> None:
 def change_a_picture(path: Path, chance: Random) -> None:
     with Image.open(path) as image:
         image.load()
-    mode, size = chance.choice(["1", "L", "LA", "P", "RGB", "RGBA", "CMYK", "I;16", "F", "I"]), chance.choice([image.size, (1, 1), (1, 3000), (97, 61)])
+    mode = chance.choice(["1", "L", "LA", "P", "RGB", "RGBA", "CMYK", "I;16", "F", "I"])
+    size = chance.choice([image.size, (1, 1), (1, 3000), (97, 61)])
     kind = chance.choice(["PNG", "JPEG", "GIF", "BMP", "TIFF", "WEBP", "PPM"])
     try:
         image.convert("L" if mode in ("I;16", "F", "I") else "RGB").convert(mode).resize(size).save(path, kind)
@@ -299,8 +306,8 @@ def of_suffix(path: Path) -> list[Mutation]:
 
 
 OF_ANY_FILE: list[Mutation] = [
-    *(cut_short, cut_short, flip_bytes, flip_bytes, zero_a_part, replace_by_something_else, put_a_mark_before, take_away, rename, copy_beside),
-    *(make_a_folder_of_it, make_a_pipe_of_it, make_a_link_of_it, take_the_folder_away, copy_the_folder),
+    *(cut_short, cut_short, flip_bytes, flip_bytes, zero_a_part, replace_by_something_else, put_a_mark_before, take_away, rename),
+    *(copy_beside, make_a_folder_of_it, make_a_pipe_of_it, make_a_link_of_it, take_the_folder_away, copy_the_folder),
 ]
 
 
