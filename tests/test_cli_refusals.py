@@ -10,7 +10,7 @@ from PIL import Image
 
 from conftest import make_demonstration
 from preimage import cli
-from preimage.data.dataset import save
+from preimage.storage.recordings import save
 from recordings import DATA, edit_json
 
 

@@ -1,9 +1,10 @@
 """Recordings on disk, opened as they are: LeRobotDataset v3.0, v2.1 and v2.0, or plain folders of pictures and tables.
 
 >>> import tempfile
+>>> from preimage.data.lerobot_writer import write_files
 >>> demonstration = Demonstration(np.zeros((3, 8, 8, 1), np.uint8), np.ones((3, 2)), rate_hz=10.0, joint_names=("yaw", "shoulder"))
 >>> with tempfile.TemporaryDirectory() as place:
-...     save([demonstration, demonstration], f"{place}/reach", task="reach the mark")
+...     write_files([demonstration, demonstration], Path(place) / "reach", task="reach the mark")
 ...     loaded = load(f"{place}/reach")
 >>> len(loaded), loaded[0].frames.shape, loaded[0].joint_names, loaded[0].rate_hz
 (2, (3, 8, 8, 1), ('yaw', 'shoulder'), 10.0)
@@ -25,11 +26,10 @@ from preimage.data.angles import Wrap, find_wraps, unwrapped
 from preimage.data.clocks import asked_about, is_clock
 from preimage.data.files import leave_out
 from preimage.data.lerobot_info import EXTRAS, INFO
-from preimage.data.lerobot_writer import save
 from preimage.data.view import COLOURS, Eye, View, moving, telling_channels, unwraps
 from preimage.records import Body, Demonstration, Description, Episode, listed, number_of
 
-__all__ = ["Opened", "describe", "episode_numbers", "fingerprint", "load", "open_recordings", "read_episodes", "save"]
+__all__ = ["Opened", "describe", "episode_numbers", "fingerprint", "load", "open_recordings", "read_episodes"]
 
 BY_DEFAULT = View()
 

@@ -159,4 +159,4 @@ def is_amount(text: str) -> bool:
     >>> is_amount("16"), is_amount("0"), is_amount("1e9")
     (True, False, False)
     """
-    return text.isascii() and text.isdigit() and 0 < int(text[:16])
+    return text.isascii() and text.isdigit() and int(text[:16]) > 0
