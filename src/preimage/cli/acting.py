@@ -3,6 +3,7 @@
 What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
 """
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +12,7 @@ import numpy as np
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.screen import bar, remark
+from preimage.cli.screen import following, remark, waiting
 from preimage.compute.choices import Device
 from preimage.presets import PlanOptions, Preset, load_planner
 from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Percept, Plan, Verdict, number_of
@@ -51,9 +52,10 @@ def demo(
 
     remark(describe_precision(config.precision, CPU))
     remark(choose_threads())
-    with bar() as progress, output_folder(out, DEMO, overwrite=True) as draft:
-        shown = progress.add_task("planning and executing", total=goals)
-        report = demonstration_of_it_all.run(task, config, goals=goals, seed=seed, out=draft, progress=lambda: progress.advance(shown))
+    done = itertools.count(1)
+    with following("planning and executing", total=goals) as follow, output_folder(out, DEMO, overwrite=True) as draft:
+        words = {"goals": goals, "seed": seed, "out": draft}
+        report = demonstration_of_it_all.run(task, config, **words, progress=lambda: follow(done=next(done)))
     for line in report.lines:
         print(line.replace(str(draft), str(out)))
     print(f"open {out / report.page.name}")
@@ -117,7 +119,8 @@ def plan_(
     planner.validate_goals(goals, source="--goal" if goal_joints is None else "--goal-joints")
     begin = find_percept(start, model.sensors, view=view, default_step=0).percept if start else None
     precision, threads = describe_precision(config.precision, model.home_pixels.device), choose_threads()
-    legs = planner.plan_in_turn(start=begin, goals=goals)
+    with waiting("planning" if len(goals) == 1 else f"planning to {len(goals)} goals in a row"):
+        legs = planner.plan_in_turn(start=begin, goals=goals)
     found = join(legs)
     rate_hz = rate_hz or max(one.rate_hz for one in shown)
     commands, limited = commands_of(found, limits, rate_hz=rate_hz)

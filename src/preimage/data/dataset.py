@@ -13,7 +13,7 @@ True
 """
 
 import hashlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -70,7 +70,12 @@ def load(
 
 
 def open_recordings(
-    folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None, without: Collection[int] = ()
+    folder: Path | str,
+    *,
+    view: View = BY_DEFAULT,
+    only: Collection[int] | None = None,
+    without: Collection[int] = (),
+    progress: Callable[..., None] | None = None,
 ) -> Opened:
     """The demonstrations of a data set, how they were looked at, and a summary of it.
 
@@ -81,13 +86,18 @@ def open_recordings(
         view: how to look at them; what it leaves open is resolved by the episodes that are read.
         only: numbers of the episodes to read; by default all.
         without: numbers of episodes to leave out.
+        progress: called after each episode with the number that is `done` and the `total`.
 
     Raises:
         ValueError: the folder is no data set, or part of it is missing, damaged or contradicts the rest.
     """
     folder = Path(folder)
-    room, eye = _reader(folder), Eye(view)
-    episodes = [_whole(episode, folder) for episode in room.read_episodes(folder, eye, _chosen(folder, only, without))]
+    room, eye, chosen = _reader(folder), Eye(view), _chosen(folder, only, without)
+    episodes = []
+    for episode in room.read_episodes(folder, eye, chosen):
+        episodes.append(_whole(episode, folder))
+        if progress:
+            progress(done=len(episodes), total=len(chosen))
     demonstrations = [_demonstration(episode, folder) for episode in episodes]
     numbers = tuple(episode.index for episode in episodes)
     names = demonstrations[0].joint_names
