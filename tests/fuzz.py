@@ -196,29 +196,30 @@ BY_VERB: dict[str, Callable[[Random], Case]] = {
 
 def broken_law(case: Case, ended: Ended, before: str, after: str, left: list[str]) -> str | None:
     """What of the laws does not hold, in a few words that are alike for alike faults; None where all hold."""
+    verb = case.words[0] if case.words else "nothing"
     if ended.code in (None, -signal.SIGXCPU, -signal.SIGKILL):
-        return f"{case.words[0]} takes more than {LONGEST_S} s" if ended.code else f"{case.words[0]} waits for ever"
+        return f"{verb} takes more than {LONGEST_S} s" if ended.code else f"{verb} waits for ever"
     if ended.most_bytes > MOST_BYTES:
-        return f"{case.words[0]} takes {ended.most_bytes / 2**30:.1f} GB"
+        return f"{verb} takes {ended.most_bytes / 2**30:.1f} GB"
     if found := re.search(r"an error inside preimage \((.*?)\)", ended.err):
         return found[1]
     if "Traceback (most recent call last)" in ended.err:
         return f"traceback: {ended.err.strip().splitlines()[-1]}"
     if "memory of this machine" in ended.err or "memory of the device" in ended.err:
-        return f"{case.words[0]} wants more memory than there is"
+        return f"{verb} wants more memory than there is"
     if ended.code not in (0, 1, 2):
-        return f"{case.words[0]} ends with {ended.code}"
+        return f"{verb} ends with {ended.code}"
     if found := re.search(r"^.*Warning.*$", ended.err, re.MULTILINE):
         return found[0].split("/")[-1]
     sentences = [line for line in ended.err.splitlines() if line.startswith("preimage: ")]
     from_words = ended.err.startswith("╭─")  # what tyro says of words that fit no option
-    verdict = case.words[0] == "check" and ended.code == 1 and ended.out.strip()
+    verdict = verb == "check" and ended.code == 1 and ended.out.strip()
     if ended.code and len(sentences) != 1 and not from_words and not verdict:
-        return f"{case.words[0]} says {len(sentences)} sentences for code {ended.code}"
+        return f"{verb} says {len(sentences)} sentences for code {ended.code}"
     if case.keeps and before != after:
-        return f"{case.words[0]} changes its input"
+        return f"{verb} changes its input"
     if left:
-        return f"{case.words[0]} leaves {re.sub(r'[0-9]+@.*?[.]', 'PID.', left[0])}"
+        return f"{verb} leaves {re.sub(r'[0-9]+@.*?[.]', 'PID.', left[0])}"
     return None
 
 
