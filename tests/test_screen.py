@@ -1,11 +1,14 @@
 """Where there is no terminal a line now and then says how far the work is; where there is one, a bar."""
 
 import io
+import sys
+from types import ModuleType, SimpleNamespace
 
 import pytest
 from rich.console import Console
 
 from preimage.cli import screen
+from preimage.cli import tensorboard as scalars
 from preimage.cli.errors import what_is_kept
 
 
@@ -73,3 +76,32 @@ def test_what_is_kept_of_an_interrupted_training_is_what_lies_there(tmp_path):
     assert what_is_kept("train", words) == "what was saved is kept, and --resume goes on with it"
     assert what_is_kept("plan", words) == "nothing was written"
     assert what_is_kept("reproduce", []) == "what is done is kept, and the same command goes on"
+
+
+def test_the_errors_go_to_tensorboard_from_the_update_that_is_gone_on_with(tmp_path, monkeypatch):
+    added = []
+
+    class Writer:
+        def __init__(self, folder: str, purge_step: int) -> None:
+            added.append((folder, purge_step))
+
+        def add_scalar(self, name: str, value: float, step: int) -> None:
+            added.append((name, value, step))
+
+        def close(self) -> None:
+            added.append("closed")
+
+    module = ModuleType("torch.utils.tensorboard")
+    module.__dict__["SummaryWriter"] = Writer
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", module)
+    add = scalars.scalars_to(tmp_path)
+    for update in (3, 4):
+        add(SimpleNamespace(update=update, updates=4, visual=2.0, proprioceptive=0.5, seconds=0.1))
+    of_one = [("error/visual", 2.0), ("error/proprioceptive", 0.5), ("seconds", 0.1)]
+    assert added == [(str(tmp_path / "tensorboard"), 3), *((*each, step) for step in (3, 4) for each in of_one), "closed"]
+
+
+def test_without_tensorboard_it_is_said_what_to_install(monkeypatch):
+    monkeypatch.setattr(scalars, "find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"pip install 'preimage\[tensorboard\]', or leave it out"):
+        scalars.validate_tensorboard()

@@ -13,6 +13,7 @@ from tyro.conf import Positional
 
 from preimage.cli.errors import is_first_here
 from preimage.cli.screen import followed, following, known_task
+from preimage.cli.tensorboard import scalars_to, validate_tensorboard
 from preimage.compute.choices import Device
 from preimage.data.clocks import bounds, is_rate
 from preimage.data.view import View
@@ -110,6 +111,7 @@ def train_(
     intention_layers: tuple[str, ...] | None = None,
     seen_channels: int | None = None,
     keypoints: int | None = None,
+    tensorboard: bool = False,
     view: View = View(),  # noqa: B008, frozen
     as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
     config: Annotated[TrainOptions, tyro.conf.arg(name="")] = TrainOptions(),  # noqa: B008, frozen
@@ -134,6 +136,7 @@ def train_(
         intention_layers: layers whose initial states are the intention, instead of the size's own: top where most can be seen.
         seen_channels: feature maps that carry vision to the motors, instead of the size's own.
         keypoints: points whose places go from vision to the motors besides, for small things that have to be found; none by default.
+        tensorboard: write the errors for TensorBoard too, into the run folder (extra `tensorboard`).
         view: how the recordings are looked at.
         as_: paper is the paper's network and learning alone; regression and full begin with a latent intention.
         config: how the network learns.
@@ -149,6 +152,8 @@ def train_(
     from preimage.storage.provenance import provenance
     from preimage.storage.runs import read_settings, read_view, write_card
 
+    if tensorboard:
+        validate_tensorboard()
     resumed = goes_on(out, resume=resume)
     if resumed:
         view, episodes, without_episodes = read_view(out), episodes_to_resume(out, data), ()
@@ -178,8 +183,11 @@ def train_(
     about |= {"view": asdict(opened.view), "body": asdict(opened.body)}
     about |= {"task": task_of(demonstrations) or opened.task, "provenance": provenance(group.device)}
     with following("training", total=config.updates, shown=group.first) as follow:
+        shown = scalars_to(out) if tensorboard else None
 
         def tell(told: Told) -> None:
+            if shown:
+                shown(told)
             while lines:  # now that nothing is refused any more, and what is printed is not beside the point
                 print(lines.pop(0))
             follow(done=told.update, text=f"vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}")
