@@ -6,7 +6,7 @@ VENV := .venv
 RUN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test fast slow check clean
+.PHONY: demo test fast slow check fuzz kills clean
 
 demo: $(READY)
 	$(RUN)/preimage demo
@@ -21,6 +21,14 @@ fast: $(READY)
 
 slow: $(READY)
 	$(PYTEST) -m slow
+
+# Damaged inputs and words that are off, ten thousand of them: about two hours on one core.
+fuzz: $(READY)
+	OMP_NUM_THREADS=1 $(RUN)/python tests/fuzz.py 10000
+
+# A training killed at a hundred random moments, and the other verbs at some of theirs.
+kills: $(READY)
+	$(PYTEST) -m slow -k kill --kills 100
 
 check: $(READY)
 	$(RUN)/ruff check .

@@ -343,10 +343,10 @@ train_to(run, config=CONFIG, resume=run.exists())
 
 
 @pytest.mark.slow
-def test_killed_at_twenty_random_moments_a_training_ends_with_the_same_bits(tmp_path, never_stopped):
+def test_killed_at_random_moments_a_training_ends_with_the_same_bits(tmp_path, never_stopped, pytestconfig):
     chance = random.Random(0)
     run, kills = tmp_path / "run", 0
-    while kills < 20:
+    while kills < pytestconfig.getoption("--kills"):
         process = subprocess.Popen([sys.executable, "-c", TRAIN, run, Path(__file__).parent], stdout=subprocess.PIPE, text=True)
         assert process.stdout is not None
         process.stdout.readline()

@@ -1,6 +1,7 @@
 """The command line: every verb runs from end to end, and neither a full disk nor Ctrl-C loses anything."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -230,3 +231,23 @@ def test_ctrl_c_saves_and_the_run_can_be_resumed(data, tmp_path, capsys, monkeyp
 def test_fewer_updates_than_a_run_has_are_refused(refused, run_folder, data):
     code, sentence = refused("train", data, "--out", run_folder, "--resume", "--updates", 1)
     assert (code, sentence) == (2, f"{run_folder} has 2 updates already: give --updates 2 or more")
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="completes words in bash")
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [
+        (["pl"], ["plan"]),
+        (["record", "--p"], ["--pixels"]),
+        (["train", "--hold"], ["--hold-out"]),
+        (["plan", "reach", "READ"], ["README.md"]),
+    ],
+)
+def test_words_are_completed_in_a_shell(capsys, tmp_path, words, completed):
+    with pytest.raises(SystemExit):
+        cli.main(["--completion"])
+    (tmp_path / "README.md").touch()
+    typed = " ".join(["preimage", *words])
+    script = f'{capsys.readouterr().out}\nCOMP_WORDS=({typed}); COMP_CWORD={len(words)}; _preimage; printf "%s\\n" "${{COMPREPLY[@]}}"'
+    told = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert told.stdout.split() == completed

@@ -90,3 +90,18 @@ def test_a_run_goes_on_with_the_view_it_began_with(foreign, tmp_path):
     shutil.copytree(run, tmp_path / "run")
     cli.main(["train", str(data), "--out", str(tmp_path / "run"), "--resume"])
     assert (tmp_path / "run/config.json").read_bytes() == (run / "config.json").read_bytes()
+
+
+def test_goal_joints_of_a_joint_that_wraps_are_given_as_the_robot_reads_them(tmp_path):
+    """The joint turns from 100 degrees on past 180 and reads -110 in the end, which the model knows as -260 to -110; 170 is -190 there."""
+    folder = WRITERS["plain"](tmp_path / "data", lengths=(12, 12, 12), size=(32, 32))
+    share = np.sin(np.linspace(0, np.pi / 2, 12))
+    turned, lift = 100 + 150 * share, 40 * share**2
+    for take in folder.glob("take *"):
+        rows = [f"{(angle + 180) % 360 - 180},{height}" for angle, height in zip(turned, lift, strict=True)]
+        (take / "joints.csv").write_text("\n".join(["pan,lift", *rows]) + "\n")
+    cli.main(["train", str(folder), "--out", str(tmp_path / "run"), "--size", "tiny", "--updates", "1"])
+    words = ["--modalities", "joints", "--goal-joints", "170", "30", "--out", str(tmp_path / "plan")]
+    cli.main(["plan", str(tmp_path / "run"), "--goal", f"{folder}:0", *words, *QUICK])
+    plan, _ = preimage.load_plan(tmp_path / "plan")
+    assert plan.goal.joints == pytest.approx([-190, 30])

@@ -1,16 +1,20 @@
 """What a user can get wrong on the command line is told in one sentence, and nothing is written."""
 
+import re
 import shutil
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import torch
 from PIL import Image
+from safetensors.torch import save_file
 
 from conftest import make_demonstration
 from preimage import cli
-from preimage.data.dataset import save
+from preimage.storage.recordings import save
+from preimage.storage.validation import WEIGHTS
 from recordings import DATA, edit_json
 
 
@@ -218,6 +222,37 @@ def test_a_run_with_a_broken_file(refused, run_folder, tmp_path, name, content):
     code, sentence = refused("evaluate", broken, "--goals", 1, "--out", tmp_path / "result.json")
     assert code == 2
     assert str(broken) in sentence
+
+
+# What other programs write
+
+
+def of_a_transformer(folder: Path) -> None:
+    save_file({f"model.layers.{layer}.mlp.weight": torch.ones(2, 2) for layer in range(3)}, folder / WEIGHTS, metadata={"format": "pt"})
+
+
+@pytest.mark.parametrize(
+    ("damage", "sentence"),
+    [
+        (of_a_transformer, r"is a checkpoint of another network \(model.layers.0.mlp.weight and 2 more\), and none of `preimage train`"),
+        (
+            lambda folder: torch.save({"weight": torch.ones(2)}, folder / WEIGHTS),
+            "is a pickled file of PyTorch, which is not opened, and none",
+        ),
+        (
+            lambda folder: (folder / "config.json").write_text('{"model_type": "llama", "hidden_size": 64}'),
+            r"is no run, but holds a model of another program \(llama\): its config.json has none of model, sensors, num_sequences; give a",
+        ),
+        (lambda folder: (folder / "config.json").write_text("{}"), "is no run: its config.json has none of model, sensors, num_sequences"),
+    ],
+    ids=["transformer", "pickled", "config of another", "empty config"],
+)
+def test_the_model_of_another_program_is_named_as_such(refused, run_folder, tmp_path, damage, sentence):
+    shutil.copytree(run_folder, tmp_path / "run")
+    damage(tmp_path / "run")
+    code, told = refused("plan", tmp_path / "run", "--goal", "x.png", "--out", tmp_path / "plan")
+    assert code == 2
+    assert re.search(sentence, told)
 
 
 def test_train_does_not_write_over_a_run(refused, run_folder, data):

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from preimage.data.dataset import fingerprint, load, open_recordings, read_episodes, save
+from preimage.data.dataset import fingerprint, load, open_recordings, read_episodes
 from preimage.data.view import View
 from preimage.records import Demonstration
 from preimage.storage.reading import record_of
+from preimage.storage.recordings import save
 from recordings import (
     CAMERA,
     DATA,

@@ -108,9 +108,16 @@ def test_rows_tell_each_goal(evaluated):
 
 
 @pytest.mark.parametrize(("modality", "frame", "joints"), [("vision", True, False), ("joints", False, True), ("both", True, True)])
-def test_the_planner_is_shown_no_more_of_a_goal_than_it_may_use(demonstrations, modality, frame, joints):
-    goal = goal_of(demonstrations[0], modality)
+def test_the_planner_is_shown_no_more_of_a_goal_than_it_may_use(model, demonstrations, modality, frame, joints):
+    goal = goal_of(demonstrations[0], Planner(model, None, replace(PlanOptions.regression(), modalities=modality)))
     assert (goal.frame is not None, goal.joints is not None) == (frame, joints)
+
+
+def test_a_goal_out_of_what_was_demonstrated_is_asked_for_as_near_as_can_be(model, demonstrations):
+    planner = Planner(model, None, replace(PlanOptions.regression(), modalities="joints"))
+    far = replace(demonstrations[0], joints=demonstrations[0].joints + 100)
+    assert goal_of(far, planner).joints == pytest.approx(model.sensors.joint_upper)
+    assert goal_of(demonstrations[0], planner).joints == pytest.approx(demonstrations[0].joints[-1])
 
 
 def test_the_nearest_demonstration_is_the_one_that_ends_alike(demonstrations):
@@ -164,7 +171,7 @@ def test_every_loop_is_evaluated_beside_its_baselines(planner, demonstrations) -
 def test_the_recorded_loop_predicts_each_step_from_what_the_tutor_saw(planner, recorded, monkeypatch) -> None:
     """What is commanded is what one-step prediction says of the demonstration, however the arm moves meanwhile."""
     demonstration = recorded["reach"][0]
-    found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, "vision"))
+    found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner))
     commanded = []
 
     def played(joints, rate_hz, *more, **named):

@@ -7,8 +7,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from preimage.data.dataset import describe, load, save
+from preimage.data.dataset import describe, load
 from preimage.data.view import View
+from preimage.storage.recordings import save
 from recordings import (
     CAMERA,
     DATA,

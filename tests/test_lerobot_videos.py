@@ -1,6 +1,7 @@
 """Each step of an episode finds its own frame in the videos of v2.1 and v3.0; every damage is told in one sentence."""
 
 import io
+import struct
 
 import numpy as np
 import pyarrow as pa
@@ -9,6 +10,7 @@ import pytest
 from PIL import Image
 
 from preimage.data.dataset import describe, load
+from preimage.data.decoding import ORIENTATION_OF_MATRIX, video_frames
 from preimage.data.view import View
 from recordings import (
     CAMERA,
@@ -177,3 +179,58 @@ def test_an_episode_is_found_wherever_the_key_frames_are(tmp_path, between_keys)
     for episode in (2, 1, 0):
         (one,) = load(folder, only=(episode,))
         np.testing.assert_allclose(one.frames[:, 16, 48, 0], [shade(episode, step) for step in range(len(one))], atol=3)
+
+
+# How a film is held
+
+
+def turn(video, matrix) -> None:
+    """Write a display matrix into the head of the track, as a phone does."""
+    content = video.read_bytes()
+    fixed = struct.pack(">9i", *(round(65536 * number) for number in (*matrix[0], 0, *matrix[1], 0, 0, 0)), 1 << 30)
+    upright = struct.pack(">9i", 65536, 0, 0, 0, 65536, 0, 0, 0, 1 << 30)
+    head = content.index(b"tkhd")
+    place = content.index(upright, head)
+    video.write_bytes(content[:place] + fixed + content[place + len(fixed) :])
+
+
+def corners(size=(64, 96)) -> np.ndarray:
+    """A frame whose four quarters differ, so that no turn of it looks like another."""
+    frame = np.full((*size, 3), 20, np.uint8)
+    frame[:32, :48], frame[:32, 48:], frame[32:, :48] = (200, 20, 20), (20, 200, 20), (20, 20, 200)
+    return frame
+
+
+@pytest.mark.parametrize("matrix", ORIENTATION_OF_MATRIX)
+def test_a_film_is_seen_as_players_show_it(tmp_path, matrix):
+    """Where a pixel (column, row) goes is the product with the matrix (ISO 14496-12, 6.2.2)."""
+    write_video(tmp_path / "film.mp4", [corners()] * 4)
+    turn(tmp_path / "film.mp4", matrix)
+    (columns, rows), height, width = np.array(matrix), 64, 96
+    row, column = np.mgrid[:height, :width]
+    to_column, to_row = (columns[axis] * column + rows[axis] * row for axis in (0, 1))
+    shown = np.zeros((np.ptp(to_row) + 1, np.ptp(to_column) + 1, 3), np.uint8)
+    shown[to_row - to_row.min(), to_column - to_column.min()] = corners()
+    frames = list(video_frames(tmp_path / "film.mp4", rate_hz=10))
+    assert len(frames) == 4
+    for frame in frames:
+        assert frame.shape == shown.shape
+        assert np.abs(frame.astype(int) - shown).mean() < 4
+
+
+def test_a_film_that_is_turned_by_45_degrees_is_refused(tmp_path):
+    write_video(tmp_path / "film.mp4", [corners()] * 4)
+    half = np.sqrt(0.5)
+    turn(tmp_path / "film.mp4", ((half, half), (-half, half)))
+    (sentence,) = video_frames(tmp_path / "film.mp4", rate_hz=10)
+    assert sentence == f"{tmp_path / 'film.mp4'} is to be shown turned by other than a quarter turn: save it as it is to be looked at"
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_data_set_filmed_by_a_phone_on_end_is_seen_upright(tmp_path, version):
+    folder = WRITERS[version](tmp_path / "data")
+    for video in folder.rglob("*.mp4"):
+        turn(video, ((0, 1), (-1, 0)))
+    for one in load(folder):
+        assert one.frames.shape[1:] == (64, 32, 3)
+        assert one.frames[:, :24].mean() != pytest.approx(one.frames[:, 40:].mean(), abs=5)  # what was left is above

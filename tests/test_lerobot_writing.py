@@ -2,6 +2,9 @@
 
 import io
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from preimage.data.dataset import load, save
+from preimage.data.dataset import load
+from preimage.storage.recordings import save
 from recordings import (
     CAMERA,
     DATA,
@@ -183,7 +187,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
 
 def test_save_refuses_a_folder_with_something_in_it(folder, noisy):
     before = contents(folder.parent)
-    with pytest.raises(ValueError, match="data is there already: give a new folder or an empty one"):
+    with pytest.raises(ValueError, match="data is there already: give a new folder"):
         save(noisy, folder, task="t")
     with pytest.raises(ValueError, match=r"info\.json is there already"):
         save(noisy, folder / INFO, task="t")
@@ -208,3 +212,26 @@ def test_a_full_disk_leaves_nothing_and_touches_nothing(folder, noisy, monkeypat
         save(noisy, folder.parent / "other", task="t")
     assert contents(folder.parent) == before
     assert list(folder.parent.iterdir()) == [folder]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import preimage.storage.recordings as recordings
+from recordings import noises
+def killed(demonstrations, folder, **_):
+    (folder / "data").mkdir()
+    os.kill(os.getpid(), signal.SIGKILL)
+recordings.write_files = killed
+recordings.save(noises(), Path(sys.argv[1]), task="t")
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a process kills itself by a signal")
+def test_what_a_killed_process_left_is_removed_by_the_next_one_that_saves_there(noisy, tmp_path):
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([*sys.path, str(Path(__file__).parent)])}
+    subprocess.run([sys.executable, "-c", KILLED, tmp_path / "data"], env=environment, check=False)
+    (left,) = tmp_path.iterdir()
+    assert left.name.startswith(".data.")
+    save(noisy, tmp_path / "data", task="t")
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]

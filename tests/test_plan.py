@@ -1,6 +1,7 @@
 """Laws of planning as the paper does it: from random intentions, by Adam, with nothing but a network; and of what no plan may do."""
 
 import dataclasses
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import preimage as pi
 from bars import EXACT, PAPER, REGRESSION, bar, bars, objective_of, problem_to, tiny_double
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.no_goal import imagine_without_goal
-from preimage.method.config import PlanConfig, TrainConfig
+from preimage.method.config import Modalities, PlanConfig, TrainConfig
 from preimage.method.plan import plan, random_guesses
 from preimage.method.train import train
 from preimage.network.config import ModelConfig
@@ -129,6 +130,20 @@ def test_a_search_says_why_it_ended(trained: PDVMRNN) -> None:
 
 
 # Every preset
+
+
+@pytest.mark.parametrize("modalities", ["joints", "both", "vision"])
+def test_joints_that_were_never_demonstrated_are_no_goal_in_python_either(trained: PDVMRNN, modalities: Modalities) -> None:
+    planner = Planner(trained, None, replace(PAPER, modalities=modalities, iterations=0), joint_unit="rad")
+    far = Percept(bar(0.4).last.frame, np.full(trained.sensors.num_joints, 100.0))
+    if modalities == "vision":  # nobody looks at them
+        planner.plan(goal=far)
+        return
+    name, low, high = trained.sensors.joint_names[0], trained.sensors.joint_lower[0], trained.sensors.joint_upper[0]
+    sentence = f"the goal has {name} at 100: it was demonstrated from {low:.4g} to {high:.4g} rad; 100 degrees are 1.745 rad"
+    for planned in (lambda: planner.plan(goal=far), lambda: planner.plan_in_turn(goals=[bar(0.4).last, far])):
+        with pytest.raises(ValueError, match=re.escape(sentence)):
+            planned()
 
 
 @pytest.mark.parametrize("options", [PAPER, REGRESSION], ids=["paper", "regression"])

@@ -171,6 +171,7 @@ DAMAGES = {
     "arrival a word": lambda folder: edit(folder, arrival_step="late"),
     "no rate": lambda folder: edit(folder, rate_hz=0),
     "joints not finite": lambda folder: arrays(folder, joints=np.full((5, 2), np.nan)),
+    "joints beyond float32": lambda folder: arrays(folder, joints=np.full((5, 2), 1e200)),
     "rate infinite": lambda folder: edit(folder, rate_hz=float("inf")),
     "rate huge": lambda folder: edit(folder, rate_hz=1e300),
     "rate tiny": lambda folder: edit(folder, rate_hz=1e-4),

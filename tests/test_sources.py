@@ -8,10 +8,10 @@ import pytest
 from PIL import Image
 
 from conftest import make_demonstration
-from preimage.data.dataset import save
 from preimage.data.sequences import sensors_of
 from preimage.data.sources import find_percept, read_image
 from preimage.data.view import seen_by
+from preimage.storage.recordings import save
 from preimage.storage.runs import load_model, read_view
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from preimage import fast
 
 if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it torch, matplotlib or mujoco
-    from preimage.data.dataset import load, save
+    from preimage.data.dataset import load
     from preimage.evaluation.evaluate import Evaluated, evaluate, result_of, wilson_interval
     from preimage.ideas.memory import DemonstrationMemory
     from preimage.ideas.waypoints import join
@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it to
     from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
     from preimage.robot.execution import execute, execute_open_loop
     from preimage.storage.plans import load_plan, save_episode, save_plan
+    from preimage.storage.recordings import save
     from preimage.storage.runs import from_pretrained, load_model, push_to_hub, read_shown
 
 fast.install()
@@ -86,7 +87,7 @@ __all__ = [
 ]
 
 ROOMS = {
-    "data.dataset": ("load", "save"),
+    "data.dataset": ("load",),
     "evaluation.evaluate": ("Evaluated", "evaluate", "result_of", "wilson_interval"),
     "ideas.memory": ("DemonstrationMemory",),
     "ideas.waypoints": ("join",),
@@ -104,6 +105,7 @@ ROOMS = {
     "robot": ("TASKS", "Arm", "MoveObject", "Reach", "ReachTwo", "record"),
     "robot.execution": ("execute", "execute_open_loop"),
     "storage.plans": ("load_plan", "save_episode", "save_plan"),
+    "storage.recordings": ("save",),
     "storage.runs": ("from_pretrained", "load_model", "push_to_hub", "read_shown"),
 }
 """Where each name is at home."""

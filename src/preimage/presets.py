@@ -197,28 +197,45 @@ class Planner:
         model: the network.
         memory: of the demonstrations it was trained on, for the presets that ask it.
         options: how plans are searched for; by default all ideas where there is a memory, else those that need none.
+        joint_unit: the unit of the joints, where it is known, for what is refused.
 
     Raises:
         ValueError: the options need a memory, and there is none.
     """
 
-    def __init__(self, model: "PDVMRNN", memory: "DemonstrationMemory | None" = None, options: PlanOptions | None = None) -> None:
-        self.model, self.memory = model, memory
+    def __init__(
+        self,
+        model: "PDVMRNN",
+        memory: "DemonstrationMemory | None" = None,
+        options: PlanOptions | None = None,
+        *,
+        joint_unit: str | None = None,
+    ) -> None:
+        self.model, self.memory, self.joint_unit = model, memory, joint_unit
         options = options or (PlanOptions.full() if memory else PlanOptions.regression())
         self.options = replace(options, precision=resolve_precision(options.precision, model.home_pixels.device))
         self.ideas = self.options.ideas(memory)
 
     def plan(self, *, goal: "Percept", start: "Percept | None" = None) -> "Plan":
-        """Imagine a way from the start percept to the goal (`method.plan.plan`)."""
+        """Imagine a way from the start percept to the goal (`method.plan.plan`); ValueError for a goal that cannot be imagined."""
         from preimage.method.plan import plan
 
+        self.validate_goals([goal])
         return plan(self.model, start=start, goal=goal, config=self.options, ideas=self.ideas)
 
     def plan_in_turn(self, *, goals: "Sequence[Percept]", start: "Percept | None" = None) -> "list[Plan]":
         """A plan to each of several goals, from where the one before arrives (`ideas.waypoints`)."""
         from preimage.ideas.waypoints import plan_in_turn
 
+        self.validate_goals(goals)  # all of them before the first is planned to
         return plan_in_turn(self.plan, start=start, goals=goals)
+
+    def validate_goals(self, goals: "Sequence[Percept]", *, source: str = "the goal") -> None:
+        """Raises ValueError where joints that are looked at lie outside of those demonstrated (`data.joint_range`)."""
+        from preimage.data.joint_range import validate_in_range
+
+        for goal in goals if self.options.modalities != "vision" else ():
+            validate_in_range(goal, self.model.sensors, unit=self.joint_unit, source=source)
 
     def imagine_without_goal(self, start: "Percept") -> "Plan":
         """What is imagined when nothing is wanted (`ideas.no_goal`)."""
@@ -259,13 +276,14 @@ def load_planner(name: str | Path, options: PlanOptions | None = None, *, device
     Raises:
         ValueError: there is no such run, its files are broken, or the options need a memory and it has none.
     """
-    from preimage.storage.runs import load_model
+    from preimage.storage.runs import find_run, load_model, read_body
 
-    options = options or PlanOptions.full()
+    options, name = options or PlanOptions.full(), find_run(name)  # once, so that all parts of a run on the Hub are of one revision
     model = load_model(name)
     if device is not None:
         model = model.to(device)
-    return Planner(model, load_memory(name, device=model.home_pixels.device) if options.needs_memory else None, options)
+    memory = load_memory(name, device=model.home_pixels.device) if options.needs_memory else None
+    return Planner(model, memory, options, joint_unit=read_body(name).joint_unit)
 
 
 def load_memory(name: str | Path, *, device: "torch.device | None" = None) -> "DemonstrationMemory":

@@ -51,6 +51,11 @@ def main(arguments: list[str] | None = None) -> None:
     if verb == "--version":
         print(f"preimage {version()}")
         raise SystemExit(0)
+    if verb == "--completion":
+        from preimage.cli.completion import completion
+
+        print(completion({name: function_of(each) for name, each in VERBS.items()}))
+        raise SystemExit(0)
     if verb not in VERBS:
         fail(what_is_wrong_with(verb), code=2)
     with one_sentence(verb, rest):
@@ -60,9 +65,11 @@ def main(arguments: list[str] | None = None) -> None:
 def run(verb: str, arguments: list[str]) -> None:
     import tyro
 
-    chosen = VERBS[verb]
-    function = getattr(import_module(f"preimage.cli.{chosen.room}"), chosen.function)
-    tyro.cli(by_preset(function, arguments), prog=f"preimage {verb}", args=arguments)
+    tyro.cli(by_preset(function_of(VERBS[verb]), arguments), prog=f"preimage {verb}", args=arguments)
+
+
+def function_of(verb: Verb) -> Callable[..., None]:
+    return getattr(import_module(f"preimage.cli.{verb.room}"), verb.function)
 
 
 def by_preset(function: Callable[..., None], arguments: list[str]) -> Callable[..., None]:
@@ -97,7 +104,10 @@ def preset_of(run: Path) -> str | None:
 def overview() -> str:
     """What `preimage --help` prints."""
     lines = [f"  {name:<{max(map(len, VERBS))}}  {verb.summary}" for name, verb in VERBS.items()]
-    about = "`preimage VERB --help` says what a verb takes; `preimage --version` says which preimage this is."
+    about = (
+        "`preimage VERB --help` says what a verb takes; `preimage --version` says which preimage this is; "
+        "`preimage --completion` prints what completes words in bash or zsh."
+    )
     return "\n".join(["usage: preimage VERB [options]", "", DESCRIPTION, "", *lines, "", about])
 
 

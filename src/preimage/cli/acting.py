@@ -3,7 +3,7 @@
 What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
 """
 
-import math
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -12,9 +12,8 @@ import numpy as np
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.screen import bar, remark
+from preimage.cli.screen import following, remark, waiting
 from preimage.compute.choices import Device
-from preimage.network.config import Sensors
 from preimage.presets import PlanOptions, Preset, load_planner
 from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Percept, Plan, Verdict, number_of
 from preimage.storage.bundled import BUNDLED
@@ -53,9 +52,10 @@ def demo(
 
     remark(describe_precision(config.precision, CPU))
     remark(choose_threads())
-    with bar() as progress, output_folder(out, DEMO, overwrite=True) as draft:
-        shown = progress.add_task("planning and executing", total=goals)
-        report = demonstration_of_it_all.run(task, config, goals=goals, seed=seed, out=draft, progress=lambda: progress.advance(shown))
+    done = itertools.count(1)
+    with following("planning and executing", total=goals) as follow, output_folder(out, DEMO, overwrite=True) as draft:
+        words = {"goals": goals, "seed": seed, "out": draft}
+        report = demonstration_of_it_all.run(task, config, **words, progress=lambda: follow(done=next(done)))
     for line in report.lines:
         print(line.replace(str(draft), str(out)))
     print(f"open {out / report.page.name}")
@@ -93,7 +93,9 @@ def plan_(
     from preimage.compute.devices import torch_device
     from preimage.compute.precision import describe_precision
     from preimage.compute.threads import choose_threads
+    from preimage.data.angles import unwrapped
     from preimage.data.sources import find_percept
+    from preimage.data.view import unwraps
     from preimage.ideas.waypoints import join
     from preimage.report import figure, film
     from preimage.robot.limits import commands_of, limits_seen, read_limits
@@ -113,12 +115,12 @@ def plan_(
     wanted = [find_percept(each, model.sensors, view=view, default_step=-1) for each in goal]
     goals = [each.percept for each in wanted]
     if goal_joints is not None:
-        goals = [Percept(goals[0].frame, np.array(goal_joints))]
-    if config.modalities != "vision":
-        validate_range_of_joints(goals, model.sensors, unit=body.joint_unit, source="--goal" if goal_joints is None else "--goal-joints")
+        goals = [Percept(goals[0].frame, unwrapped(np.array([goal_joints]), model.sensors.joint_names, unwraps(view))[0])]
+    planner.validate_goals(goals, source="--goal" if goal_joints is None else "--goal-joints")
     begin = find_percept(start, model.sensors, view=view, default_step=0).percept if start else None
     precision, threads = describe_precision(config.precision, model.home_pixels.device), choose_threads()
-    legs = planner.plan_in_turn(start=begin, goals=goals)
+    with waiting("planning" if len(goals) == 1 else f"planning to {len(goals)} goals in a row"):
+        legs = planner.plan_in_turn(start=begin, goals=goals)
     found = join(legs)
     rate_hz = rate_hz or max(one.rate_hz for one in shown)
     commands, limited = commands_of(found, limits, rate_hz=rate_hz)
@@ -137,18 +139,6 @@ def validate_rate(rate_hz: float | None) -> None:
     """Raises ValueError where commands would be that slow or fast that a unit must be wrong."""
     if rate_hz is not None and not LOWEST_RATE_HZ <= rate_hz <= HIGHEST_RATE_HZ:
         raise ValueError(f"--rate-hz is {rate_hz:g}: give {LOWEST_RATE_HZ:g} to {HIGHEST_RATE_HZ:g} rows a second")
-
-
-def validate_range_of_joints(goals: Sequence[Percept], sensors: Sensors, *, unit: str | None, source: str) -> None:
-    """Raises ValueError where a goal asks for a joint outside the range that was demonstrated, which the model cannot imagine."""
-    for goal in goals:
-        if goal.joints is None or len(goal.joints) != sensors.num_joints or not np.isfinite(goal.joints).all():
-            continue  # the planner says what is missing
-        for name, angle, low, high in zip(sensors.joint_names, goal.joints, sensors.joint_lower, sensors.joint_upper, strict=True):
-            if not low <= angle <= high:
-                in_unit = f" {unit}" if unit else ""
-                hint = f"; {angle:g} degrees are {math.radians(angle):.4g} rad" if unit in (None, "rad") and abs(angle) > math.pi else ""
-                raise ValueError(f"{source} has {name} at {angle:g}: it was demonstrated from {low:.4g} to {high:.4g}{in_unit}{hint}")
 
 
 def validate_use_of_joints(goal_joints: tuple[float, ...] | None, *, num_goals: int, modalities: str) -> None:

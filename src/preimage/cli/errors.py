@@ -14,17 +14,13 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib.metadata import metadata
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import NoReturn
 
 ROOT = Path(__file__).parents[1]
 RAISE = dis.opmap["RAISE_VARARGS"]
-KEPT = {
-    "train": "what was saved is kept, and --resume goes on with it",
-    "reproduce": "what is done is kept, and the same command goes on",
-}
-"""What a verb has kept when it is interrupted; the others write at their end, as a whole."""
 
 
 @contextmanager
@@ -38,7 +34,7 @@ def one_sentence(verb: str, words: list[str]) -> Iterator[None]:
         validate_words(words)
         yield
     except KeyboardInterrupt:
-        fail(f"interrupted; {KEPT.get(verb, 'nothing was written')}", code=1)
+        fail(f"interrupted; {what_is_kept(verb, words)}", code=1)
     except OSError as error:
         fail(sentence_of(error), code=1)
     except MemoryError:
@@ -51,6 +47,18 @@ def one_sentence(verb: str, words: list[str]) -> Iterator[None]:
         if type(error).__name__ == "OutOfMemoryError":  # of torch, which is not imported for it
             fail("the memory of the device is too small for it: give a smaller --batch-size or size, or --device cpu", code=1)
         fail(report_of(error), code=1)
+
+
+def what_is_kept(verb: str, words: list[str]) -> str:
+    """What a verb has kept when it is interrupted; all but two write at their end, as a whole."""
+    if verb == "reproduce":
+        return "what is done is kept, and the same command goes on"
+    out = next((Path(value) for word, value in pairwise(words) if word == "--out"), None)
+    if verb != "train" or out is None or not (out / "config.json").is_file():
+        return "nothing was written"
+    if (out / "resume.pt").is_file():
+        return "what was saved is kept, and --resume goes on with it"
+    return f"{out} has no checkpoint yet, and --resume begins again"
 
 
 def validate_words(words: list[str]) -> None:
@@ -109,6 +117,11 @@ def one_line(text: str) -> str:
 
 def fail(sentence: str, *, code: int) -> NoReturn:
     """Leave with one sentence, printed once where several processes of a machine leave together."""
-    if int(os.environ.get("LOCAL_RANK", os.environ.get("SLURM_LOCALID", "0"))) == 0:
+    if is_first_here():
         print(f"preimage: {sentence}", file=sys.stderr)
     raise SystemExit(code)
+
+
+def is_first_here() -> bool:
+    """Whether this is the first, or the only, of the processes that work together on this machine."""
+    return int(os.environ.get("LOCAL_RANK", os.environ.get("SLURM_LOCALID", "0"))) == 0

@@ -11,7 +11,9 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.screen import bar, known_task
+from preimage.cli.errors import is_first_here
+from preimage.cli.screen import followed, following, known_task
+from preimage.cli.tensorboard import scalars_to, validate_tensorboard
 from preimage.compute.choices import Device
 from preimage.data.clocks import bounds, is_rate
 from preimage.data.view import View
@@ -42,11 +44,9 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels:
     if not 0 <= seed < 2**63:
         raise ValueError(f"--seed is {seed}: give a whole number from 0 to {2**63 - 1}")
     validate_output_folder(out)
-    with bar() as progress:
-        shown = progress.add_task("recording", total=count)
-        arm = Arm()
-        filmed = with_frames(TASKS[task], pixels)
-        demonstrations = record(arm, filmed, count=count, seed=seed, progress=lambda _done, _all: progress.advance(shown))
+    arm, filmed = Arm(), with_frames(TASKS[task], pixels)
+    with following("recording", total=count) as follow:
+        demonstrations = record(arm, filmed, count=count, seed=seed, progress=lambda done, _all: follow(done=done))
     with output_folder(out) as draft:
         write_files(demonstrations, draft, task=task, joint_unit=arm.joint_unit)
     steps = sum(map(len, demonstrations))
@@ -71,7 +71,7 @@ def check(
         rate_hz: steps a second of the model that is going to be trained.
         view: how the recordings are looked at.
     """
-    from preimage.data.dataset import describe, read_episodes
+    from preimage.data.dataset import describe, episode_numbers, read_episodes
     from preimage.examination import examine
     from preimage.report import examined_page
 
@@ -79,6 +79,8 @@ def check(
     if not is_rate(rate_hz):
         raise ValueError(f"--rate-hz is {rate_hz}: {bounds()}")
     recordings = read_episodes(data, view=view, only=episodes, without=without_episodes)
+    total = len(episode_numbers(data)) if episodes is None else len(episodes)
+    recordings = followed(recordings, "reading episodes", total=total - len(without_episodes))
     examination = examine(recordings, rate_hz=rate_hz, joints_chosen=view.joints is not None)
     about = describe(data, state=view.state)
     camera = view.camera or next(iter(about.cameras))
@@ -109,6 +111,7 @@ def train_(
     intention_layers: tuple[str, ...] | None = None,
     seen_channels: int | None = None,
     keypoints: int | None = None,
+    tensorboard: bool = False,
     view: View = View(),  # noqa: B008, frozen
     as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
     config: Annotated[TrainOptions, tyro.conf.arg(name="")] = TrainOptions(),  # noqa: B008, frozen
@@ -133,6 +136,7 @@ def train_(
         intention_layers: layers whose initial states are the intention, instead of the size's own: top where most can be seen.
         seen_channels: feature maps that carry vision to the motors, instead of the size's own.
         keypoints: points whose places go from vision to the motors besides, for small things that have to be found; none by default.
+        tensorboard: write the errors for TensorBoard too, into the run folder (extra `tensorboard`).
         view: how the recordings are looked at.
         as_: paper is the paper's network and learning alone; regression and full begin with a latent intention.
         config: how the network learns.
@@ -148,10 +152,13 @@ def train_(
     from preimage.storage.provenance import provenance
     from preimage.storage.runs import read_settings, read_view, write_card
 
+    if tensorboard:
+        validate_tensorboard()
     resumed = goes_on(out, resume=resume)
     if resumed:
         view, episodes, without_episodes = read_view(out), episodes_to_resume(out, data), ()
-    opened = open_recordings(data, view=view, only=episodes, without=without_episodes)
+    with following("reading episodes", shown=is_first_here()) as follow:
+        opened = open_recordings(data, view=view, only=episodes, without=without_episodes, progress=follow)
     recorded, lines = opened.demonstrations, list(opened.summary)
     validate(recorded, opened.episodes)
     learned_from = {"name": data.name, "fingerprint": fingerprint(recorded), "episodes": list(opened.episodes)}
@@ -175,14 +182,15 @@ def train_(
     lines.append(describe_precision(config.precision, group.device))
     about |= {"view": asdict(opened.view), "body": asdict(opened.body)}
     about |= {"task": task_of(demonstrations) or opened.task, "provenance": provenance(group.device)}
-    with bar(shown=group.first) as progress:
-        shown = progress.add_task("training", total=config.updates)
+    with following("training", total=config.updates, shown=group.first) as follow:
+        shown = scalars_to(out) if tensorboard else None
 
         def tell(told: Told) -> None:
+            if shown:
+                shown(told)
             while lines:  # now that nothing is refused any more, and what is printed is not beside the point
                 print(lines.pop(0))
-            errors = f"training  vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}"
-            progress.update(shown, completed=told.update, description=errors)
+            follow(done=told.update, text=f"vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}")
 
         train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell, group=group)
     if not group.first:

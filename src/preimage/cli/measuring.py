@@ -3,7 +3,6 @@
 What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
 """
 
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,7 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.screen import bar, console, known_task, remark
+from preimage.cli.screen import console, following, known_task, remark
 from preimage.compute.choices import Device
 from preimage.evaluation.loops import Loop
 from preimage.presets import PlanOptions, Preset, load_planner
@@ -91,16 +90,12 @@ def evaluate_(
     remark(describe_precision(config.precision, group.device))
     if group.size == 1:
         remark(choose_threads())
-    with bar(shown=group.first) as progress:
-        shown = progress.add_task("evaluating", total=mine)
+    with following("evaluating", total=mine, shown=group.first) as follow:
         reached: list[bool] = []
 
         def tell(one: Evaluated) -> None:
             reached.append(one.trial.success)
-            so_far = f"evaluating  {sum(reached)}/{len(reached)} reached"
-            progress.update(shown, completed=len(reached), description=so_far)
-            if group.first and not console.is_terminal and len(reached) % 10 == 0:
-                print(f"{so_far}, {mine - len(reached)} goals left", file=sys.stderr, flush=True)
+            follow(done=len(reached), text=f"{sum(reached)}/{len(reached)} reached")
 
         evaluated = evaluate(planner, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, loop=loop, progress=tell, group=group)
     if not group.first:
@@ -123,11 +118,10 @@ def compare_with(
     group = join_processes(devices=devices, num_nodes=1, device=device)
     if group.size == 1:
         remark(choose_threads())
-    with bar(shown=group.first) as progress:
-        shown = progress.add_task("planning", total=None)
+    with following("planning", shown=group.first) as follow:
 
         def tell(done: int, of_all: int) -> None:
-            progress.update(shown, completed=done, total=of_all)
+            follow(done=done, total=of_all)
 
         lines = compare_run(run, data, out=out, film_folder=films, options=options, progress=tell, group=group, **which)
     if group.first:
@@ -166,16 +160,13 @@ def reproduce_(
     from preimage.evaluation.recipes import cells_of
     from preimage.method.train import Progress as Told
 
-    with bar() as progress:
-        shown = progress.add_task("training", total=None)
+    with following("training") as follow:
 
         def learn(told: Told) -> None:
-            progress.update(shown, completed=told.update, total=told.updates)
+            follow(done=told.update, total=told.updates)
 
         def tell(text: str) -> None:
-            progress.update(shown, description=text)
-            if not console.is_terminal:
-                print(text, file=sys.stderr, flush=True)
+            console.print(text, highlight=False, soft_wrap=True)
 
         cells = [replace(cell, preset=as_, goals=goals) for cell in cells_of(table, size)]
         chosen = [cell for cell in cells if cell.seed < seeds and cell.num_demonstrations in demonstrations]

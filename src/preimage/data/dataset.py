@@ -1,9 +1,10 @@
 """Recordings on disk, opened as they are: LeRobotDataset v3.0, v2.1 and v2.0, or plain folders of pictures and tables.
 
 >>> import tempfile
+>>> from preimage.data.lerobot_writer import write_files
 >>> demonstration = Demonstration(np.zeros((3, 8, 8, 1), np.uint8), np.ones((3, 2)), rate_hz=10.0, joint_names=("yaw", "shoulder"))
 >>> with tempfile.TemporaryDirectory() as place:
-...     save([demonstration, demonstration], f"{place}/reach", task="reach the mark")
+...     write_files([demonstration, demonstration], Path(place) / "reach", task="reach the mark")
 ...     loaded = load(f"{place}/reach")
 >>> len(loaded), loaded[0].frames.shape, loaded[0].joint_names, loaded[0].rate_hz
 (2, (3, 8, 8, 1), ('yaw', 'shoulder'), 10.0)
@@ -12,7 +13,7 @@ True
 """
 
 import hashlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -25,11 +26,10 @@ from preimage.data.angles import Wrap, find_wraps, unwrapped
 from preimage.data.clocks import asked_about, is_clock
 from preimage.data.files import leave_out
 from preimage.data.lerobot_info import EXTRAS, INFO
-from preimage.data.lerobot_writer import save
 from preimage.data.view import COLOURS, Eye, View, moving, telling_channels, unwraps
 from preimage.records import Body, Demonstration, Description, Episode, listed, number_of
 
-__all__ = ["Opened", "describe", "episode_numbers", "fingerprint", "load", "open_recordings", "read_episodes", "save"]
+__all__ = ["Opened", "describe", "episode_numbers", "fingerprint", "load", "open_recordings", "read_episodes"]
 
 BY_DEFAULT = View()
 
@@ -70,7 +70,12 @@ def load(
 
 
 def open_recordings(
-    folder: Path | str, *, view: View = BY_DEFAULT, only: Collection[int] | None = None, without: Collection[int] = ()
+    folder: Path | str,
+    *,
+    view: View = BY_DEFAULT,
+    only: Collection[int] | None = None,
+    without: Collection[int] = (),
+    progress: Callable[..., None] | None = None,
 ) -> Opened:
     """The demonstrations of a data set, how they were looked at, and a summary of it.
 
@@ -81,13 +86,18 @@ def open_recordings(
         view: how to look at them; what it leaves open is resolved by the episodes that are read.
         only: numbers of the episodes to read; by default all.
         without: numbers of episodes to leave out.
+        progress: called after each episode with the number that is `done` and the `total`.
 
     Raises:
         ValueError: the folder is no data set, or part of it is missing, damaged or contradicts the rest.
     """
     folder = Path(folder)
-    room, eye = _reader(folder), Eye(view)
-    episodes = [_whole(episode, folder) for episode in room.read_episodes(folder, eye, _chosen(folder, only, without))]
+    room, eye, chosen = _reader(folder), Eye(view), _chosen(folder, only, without)
+    episodes = []
+    for episode in room.read_episodes(folder, eye, chosen):
+        episodes.append(_whole(episode, folder))
+        if progress:
+            progress(done=len(episodes), total=len(chosen))
     demonstrations = [_demonstration(episode, folder) for episode in episodes]
     numbers = tuple(episode.index for episode in episodes)
     names = demonstrations[0].joint_names

@@ -2,7 +2,7 @@
 
 Whatever the file holds comes out as a viewer would show it, in 8 bits:
 
-- the orientation that a camera wrote into EXIF is applied;
+- the orientation that a camera wrote into EXIF is applied, and in a video the matrix by which players turn and mirror it;
 - black and white is grey; a palette, CMYK and other colour spaces are RGB;
 - grey with opacity is RGBA, a palette with transparency too (a fourth channel is depth, unless it is opaque everywhere);
 - of 16 bits the upper 8 are taken, in grey as in colour.
@@ -22,6 +22,7 @@ from pathlib import Path
 import av
 import numpy as np
 from av.error import FFmpegError
+from av.sidedata.sidedata import Type as SideData
 from PIL import Image
 
 from preimage.data.files import AGAIN, POINTER, is_pointer, validate_file
@@ -32,9 +33,22 @@ SUFFIXES = ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff"
 NAMED = "PNG, JPEG, WebP, BMP or TIFF"
 MOST_PIXELS = 64_000_000
 """Larger than the pictures of any camera on a robot; unpacked, so many take 0.2 GB."""
+ALMOST_UPRIGHT = 0.02
+"""Sine of an angle, about a degree, by which a matrix of quarter turns may be off."""
 KEPT = "L", "RGB", "RGBA"
 WITH_OPACITY = "LA", "La", "PA", "RGBa"
 ORIENTATION = 0x0112
+ORIENTATION_OF_MATRIX = {
+    ((1, 0), (0, 1)): 1,
+    ((-1, 0), (0, 1)): 2,
+    ((-1, 0), (0, -1)): 3,
+    ((1, 0), (0, -1)): 4,
+    ((0, 1), (1, 0)): 5,
+    ((0, 1), (-1, 0)): 6,
+    ((0, -1), (-1, 0)): 7,
+    ((0, -1), (1, 0)): 8,
+}
+"""Which orientation of EXIF the display matrix of a video asks for: of its rows, where a column and where a row of pixels is to go."""
 UNDECODABLE = (
     *(OSError, SyntaxError, ValueError, EOFError, KeyError, IndexError, TypeError, AttributeError, OverflowError, NotImplementedError),
     *(struct.error, zlib.error, Image.DecompressionBombError),
@@ -121,6 +135,19 @@ def _orientation(image: Image.Image) -> int:
         return 1  # no viewer turns a picture whose EXIF is damaged
 
 
+def _orientation_shown(frame: av.VideoFrame) -> int:
+    """The orientation of EXIF by which players show a frame: a phone writes how it was held beside the pictures of its sensor."""
+    given = frame.side_data.get(SideData.DISPLAYMATRIX.name)
+    if given is None:
+        return 1
+    matrix = np.frombuffer(bytes(given), np.int32)[:6].reshape(2, 3)[:, :2] / 65536  # 16.16 fixed point; the third column is 0
+    (a, b), (c, d) = matrix.round().astype(int).tolist()
+    orientation = ORIENTATION_OF_MATRIX.get(((a, b), (c, d)))
+    if orientation is None or np.abs(matrix - matrix.round()).max() > ALMOST_UPRIGHT:
+        raise NotShown("is to be shown turned by other than a quarter turn: save it as it is to be looked at")
+    return orientation
+
+
 def _cause(content: bytes | Path | None) -> str:
     if isinstance(content, Path):
         with content.open("rb") as file:
@@ -161,7 +188,9 @@ def video_frames(path: Path, *, rate_hz: float, from_s: float = 0.0, to_s: float
                 if frame.is_corrupt:
                     yield f"{path} is damaged at {frame.time or 0.0:.2f} s: {remedy}"
                 elif not from_s or (frame.time or 0.0) >= from_s - half_s:
-                    yield frame.to_ndarray(format="rgb24")
+                    yield upright(frame.to_ndarray(format="rgb24"), _orientation_shown(frame))
+    except NotShown as error:
+        yield f"{path} {error}"
     except (FFmpegError, IndexError, OverflowError, ValueError) as error:
         reason = getattr(error, "strerror", None) or ("it has no video stream" if isinstance(error, IndexError) else "it is damaged")
         yield f"{path} cannot be decoded as video ({reason}): the file is damaged or incomplete, {remedy}"

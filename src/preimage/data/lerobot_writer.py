@@ -13,7 +13,6 @@ and saving it again changes nothing.
 import io
 import json
 import math
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -42,32 +41,8 @@ Statistics = dict[str, list[Any]]
 """min, max, mean, std, count and the QUANTILES of one column, as nested lists ready for JSON."""
 
 
-def save(demonstrations: Sequence[Demonstration], folder: Path | str, *, task: str, joint_unit: str | None = None) -> None:
-    """`folder` holds the demonstrations, all of them; after a failure it is as it was before.
-
-    The action of a step is the joints one step later, the last repeated: what a replay commands. Grey frames are written as three
-    equal channels, for LeRobot expects three.
-
-    Args:
-        task: what is shown, in words, for policies conditioned on language.
-        joint_unit: the unit of the joints, where it is known; LeRobot has no place for it, so it stands in ours.
-
-    Raises:
-        ValueError: there is something in the folder, or the demonstrations do not agree in frame size, joints or rate.
-        OSError: the disk is full or forbidden.
-    """
-    folder = Path(folder).resolve()
-    _check_alike(demonstrations)
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise ValueError(f"{folder} is there already: give a new folder or an empty one")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
-        draft = Path(scratch) / folder.name
-        write_files(demonstrations, draft, task=task, joint_unit=joint_unit)
-        draft.replace(folder)
-
-
-def _check_alike(demonstrations: Sequence[Demonstration]) -> None:
+def validate_alike(demonstrations: Sequence[Demonstration]) -> None:
+    """Raises ValueError where one data set cannot hold all of these."""
     if not demonstrations:
         raise ValueError("there is no demonstration: give one or more")
     first = demonstrations[0]
@@ -88,13 +63,13 @@ def _check_alike(demonstrations: Sequence[Demonstration]) -> None:
 
 
 def write_files(demonstrations: Sequence[Demonstration], folder: Path, *, task: str, joint_unit: str | None = None) -> None:
-    """The files of the demonstrations are in an empty folder; a failure leaves some of them there.
+    """The files of the demonstrations are in an empty folder; a failure leaves some of them there (`storage.recordings.save` none).
 
     Raises:
         ValueError: the demonstrations do not agree in frame size, joints or rate.
         OSError: the disk is full or forbidden.
     """
-    _check_alike(demonstrations)
+    validate_alike(demonstrations)
     features = _features(demonstrations[0])
     data_file, index_file = (folder / name.format(chunk_index=0, file_index=0) for name in (DATA, EPISODES))
     data_file.parent.mkdir(parents=True)

@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Float
 
 from preimage.compute.processes import ProcessGroup
+from preimage.data.joint_range import nearest_in_range
 from preimage.data.sequences import at_rate
 from preimage.evaluation.loops import Loop
-from preimage.method.config import Modalities
 from preimage.presets import Planner
 from preimage.records import Demonstration, Percept, Plan, Shown, Trial
 from preimage.robot import Arm, Task, record, succeeds_within
@@ -106,7 +106,7 @@ def evaluate(
     recorded, evaluated = record(arm, task, count=goals, seed=seed), dict[int, Evaluated]()
     for goal in group.share(goals).tolist():
         demonstration = recorded[goal]
-        found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner.options.modalities))
+        found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner))
         trial = carry_out(planner, found, arm, task, demonstration, loop)
         baselines = dict(baselines_of(planner, arm, task, demonstration, found, shown, policies or {}))
         evaluated[goal] = Evaluated(demonstration, found, trial, baselines)
@@ -170,10 +170,11 @@ def straight_through(points: Float[np.ndarray, "M J"], num_steps: int, *, grippe
     return np.concatenate(legs)
 
 
-def goal_of(demonstration: Demonstration, modalities: Modalities) -> Percept:
-    """The last percept, without the modalities that the planner is not to see."""
-    last = demonstration.last
-    return Percept(last.frame if modalities != "joints" else None, last.joints if modalities != "vision" else None)
+def goal_of(demonstration: Demonstration, planner: Planner) -> Percept:
+    """The last percept, without the modalities that the planner is not to see; joints as near to it as it can imagine."""
+    last, modalities = demonstration.last, planner.options.modalities
+    goal = Percept(last.frame if modalities != "joints" else None, last.joints if modalities != "vision" else None)
+    return nearest_in_range(goal, planner.model.sensors)
 
 
 def nearest_shown(shown: Sequence[Shown], goal: Percept) -> Shown:

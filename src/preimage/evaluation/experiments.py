@@ -17,7 +17,7 @@ import torch
 from preimage.compute.devices import CPU
 from preimage.compute.precision import resolve_precision
 from preimage.compute.processes import ProcessGroup
-from preimage.data.dataset import fingerprint, load, save
+from preimage.data.dataset import fingerprint, load
 from preimage.evaluation.behaviour_cloning import clone
 from preimage.evaluation.evaluate import evaluate, result_of
 from preimage.evaluation.loops import Loop
@@ -29,6 +29,7 @@ from preimage.records import Demonstration, number_of
 from preimage.robot import Arm, record
 from preimage.storage.atomic_write import write_json
 from preimage.storage.provenance import provenance
+from preimage.storage.recordings import save
 from preimage.storage.runs import made_from, read_config, read_settings, read_shown, write_card
 
 TELL = Callable[[str], None]

@@ -125,7 +125,7 @@ def compare(
     compared, episodes = dict[int, Compared](), list(demonstrations)
     for episode in (episodes[number] for number in group.share(len(episodes))):
         one = demonstrations[episode]
-        found = planner.plan(start=one.first, goal=goal_of(one, planner.options.modalities))
+        found = planner.plan(start=one.first, goal=goal_of(one, planner))
         baselines = {name: errors_of(one, way) for name, way in baselines_of(planner, one, found, shown).items()}
         by_joint = np.abs(found.joints[found.arrival_step] - one.joints[-1])
         compared[episode] = Compared(episode, one, found, errors_of(one, way_of(found)), by_joint, baselines)

@@ -10,11 +10,12 @@ import numpy as np
 from preimage.report.figures import INK, MUTED, quiet, save, sheet
 
 GROWTH = {
-    "horizon": "one iteration of a plan: steps imagined",
-    "candidates": "one iteration of a plan: candidates",
-    "batch": "a training update: sequences",
-    "pixels": "a training update: pixels",
+    "horizon": ("one iteration of a plan", "steps imagined"),
+    "candidates": ("one iteration of a plan", "candidates"),
+    "batch": ("a training update", "sequences"),
+    "pixels": ("a training update", "pixels of a frame"),
 }
+"""Of each quantity that grows: the work, and what the quantity is."""
 
 
 def growth_chart(growth: Mapping[str, Mapping[str, float]], path: str | os.PathLike[str]) -> Path:
@@ -24,14 +25,16 @@ def growth_chart(growth: Mapping[str, Mapping[str, float]], path: str | os.PathL
         growth: the entry of that name in what `preimage bench` writes.
     """
     drawing = sheet(2.9, layout="constrained")
-    for column, (name, title) in enumerate(GROWTH.items(), start=1):
+    for column, (name, (work, quantity)) in enumerate(GROWTH.items(), start=1):
         amounts, seconds = [float(amount) for amount in growth[name]], list(growth[name].values())
         axes = drawing.add_subplot(1, len(GROWTH), column)
         axes.plot(amounts, seconds, color="#1f6fb2", marker="o", markersize=4, linewidth=1.4)
         axes.set_xlim(0, None)
         axes.set_ylim(0, None)
-        axes.set_title(title, fontsize=8, loc="left", color=INK)
-        axes.set_ylabel("seconds", fontsize=9)
+        axes.set_title(work, fontsize=8, loc="left", color=INK)
+        axes.set_xlabel(quantity, fontsize=9, color=MUTED)
+        if column == 1 or work != [*GROWTH.values()][column - 2][0]:
+            axes.set_ylabel("seconds", fontsize=9, color=MUTED)
         quiet(axes)
     return save(drawing, path)
 
@@ -48,10 +51,14 @@ def intention_map(recognition: Mapping[str, Any], path: str | os.PathLike[str]) 
         everything = np.concatenate(list(goals.values()))
         limits = {"vmin": everything.min(), "vmax": everything.max(), "cmap": "viridis"}
         places = {name: np.array(several) for name, several in recognition["map"].items()}
-        dots = axes.scatter(*places["training"].T, c=goals["training"], s=28, **limits)
-        axes.scatter(*places["novel"].T, c=goals["novel"], s=110, marker="*", edgecolors=INK, linewidths=0.7, **limits)
-        axes.set_title(f"colour: where it ends, {name_of_axis} (m)", fontsize=10, loc="left", color=INK)
+        dots = axes.scatter(*places["training"].T, c=goals["training"], s=28, label="training sequences", **limits)
+        stars = {"s": 110, "marker": "*", "edgecolors": INK, "linewidths": 0.7, "label": "sequences never shown, recognised"}
+        axes.scatter(*places["novel"].T, c=goals["novel"], **stars, **limits)
+        axes.set_title(f"colour: where it ends, {name_of_axis}", fontsize=10, loc="left", color=INK)
         axes.set_xlabel("first principal direction of the intentions", fontsize=9, color=MUTED)
-        drawing.colorbar(dots, ax=axes)
+        axes.set_ylabel("second principal direction", fontsize=9, color=MUTED)
+        if axis == 0:
+            drawing.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False, labelcolor=INK)
+        drawing.colorbar(dots, ax=axes, label="m")
         quiet(axes)
     return save(drawing, path)

@@ -1,15 +1,14 @@
 """docs/results.md from results/*.json: the tables of the paper, ours beside it, each cell with its command, seeds and seconds."""
 
-import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from preimage.report.charts import growth_chart, intention_map
+from preimage.report.result_files import Results, is_evaluation, read_results
 from preimage.storage.atomic_write import atomic_write
 
-Results = Sequence[Mapping[str, Any]]
 BASELINES = ("nearest_demonstration", "behaviour_cloning", "memory_alone", "prior_mean", "do_nothing")
 
 
@@ -57,24 +56,9 @@ def fill_readme(folder: str | os.PathLike[str], readme: str | os.PathLike[str]) 
         unfinished.write_text(f"{before}{BEGIN}\n{rows}\n{END}{after}")
 
 
-def read_results(folder: str | os.PathLike[str]) -> Results:
-    """All results of a folder, in the order of their names."""
-    return [read_result(file) for file in sorted(Path(folder).glob("*.json"))]
-
-
 def evaluations_among(found: Results) -> Results:
     """Those that count trials."""
-    return [one for one in found if {"task", "success", "loop", "seconds_per_plan", "baselines"} <= one.keys()]
-
-
-def read_result(file: Path) -> dict[str, Any]:
-    try:
-        found = {"preset": "full"} | json.loads(file.read_text()) | {"file": file.name}
-        if "recalled_joints" in found.get("baselines", {}):  # as results before there were presets call it
-            found["baselines"]["memory_alone"] = found["baselines"].pop("recalled_joints")
-        return found
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{file} is no result ({error}): remove it, or write it anew") from error
+    return [one for one in found if is_evaluation(one)]
 
 
 HEAD = """# Results
@@ -224,7 +208,7 @@ def held_out_table(found: Results) -> str:
     for one in found:
         if one.get("kind") == "held-out":
             for way, errors in {"imagined": one["imagined"], **one["baselines"]}.items():
-                known = [errors[name] for name in names]
+                known = [errors.get(name) for name in names]
                 spread = [f"{each['mean']:.3g} ({each['median']:.3g})" if each else "" for each in known]
                 rows.append([one["data"]["name"], one["model"], f"{len(one['episodes'])}", way.replace("_", " "), *spread])
     head = ["recordings", "run", "held out", "way", "joints at arrival", "joints on the way", "frame at arrival"]
@@ -236,7 +220,7 @@ def speed_table(found: Results) -> str:
     """What `preimage bench` measured."""
     rows = []
     for one in found:
-        device = f"cpu, threads: {one['threads']}" if one.get("device") == "cpu" else one.get("device", "")
+        device = f"cpu, threads: {one.get('threads')}" if one.get("device") == "cpu" else one.get("device", "")
         for name, work in one.get("train", {}).items() if "limit_gflops" in one else ():
             share = f"{work['fraction_of_limit']:.0%}"
             memory = f"{work['peak_memory_mb']:.0f} MB" if "peak_memory_mb" in work else ""
@@ -244,7 +228,7 @@ def speed_table(found: Results) -> str:
             rows.append([device, f"train {name}", measured, share, memory])
         for name, work in one.get("plan", {}).items() if "limit_gflops" in one else ():
             measured = f"{work['ms_per_iteration']} ms an iteration"
-            if "warm_s" in work:
+            if {"warm_s", "warm_s_mean", "warm_s_longest", "cold_s"} <= work.keys():
                 spread = f"mean {work['warm_s_mean']}, longest {work['warm_s_longest']}"
                 measured = f"{work['warm_s']} s warm ({spread}), {work['cold_s']} s cold, {measured}"
             rows.append([device, f"plan {name}", measured, "", ""])

@@ -30,6 +30,8 @@ LARGEST_ARRAYS = 512 << 20
 """Bytes of all arrays of one file, unpacked; those of a plan of a thousand frames in colour are a fortieth of it."""
 LARGEST_NUMBER = 1e300
 """A whole number beyond it is none that could be computed with either."""
+LARGEST_VALUE = float(np.finfo(np.float32).max)
+"""Numbers in arrays are computed with in float32, which holds no larger ones."""
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -112,6 +114,8 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
             raise ValueError(f"{name} holds no numbers")
         if not np.isfinite(value).all():
             raise ValueError(f"{name} holds numbers that are not finite")
+        if value.dtype.kind == "f" and max(value.max(initial=0), -value.min(initial=0)) > LARGEST_VALUE:
+            raise ValueError(f"{name} holds numbers beyond {LARGEST_VALUE:.1g}")
     return found
 
 

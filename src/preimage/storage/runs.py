@@ -32,7 +32,7 @@ from preimage.storage.atomic_write import atomic_write, write_json
 from preimage.storage.bundled import BUNDLED
 from preimage.storage.checksums import is_damaged_safetensors, safetensors_with_checksum
 from preimage.storage.reading import read_arrays, read_json, record_of
-from preimage.storage.validation import WEIGHTS, tensors_unlike, validate_sensors, validate_size
+from preimage.storage.validation import WEIGHTS, tensors_unlike, validate_sensors, validate_size, what_else_it_is
 
 Record = TypeVar("Record")
 
@@ -210,6 +210,11 @@ def read_settings(record: type[Record], folder: Path, key: str) -> Record:
         ValueError: it holds none, or those of another version.
     """
     config = read_config(folder)
+    if not any(each in config for each in NETWORK_KEYS):
+        kind = config.get("model_type") or config.get("type")
+        other = f", but holds a model of another program ({kind:.40})" if isinstance(kind, str) else ""
+        none = f"its config.json has none of {', '.join(NETWORK_KEYS)}"
+        raise ValueError(f"{folder} is no run{other}: {none}; give a folder that `preimage train` wrote")
     if key not in config:
         raise ValueError(f"{folder}/config.json has no {key} settings: train again")
     try:
@@ -278,6 +283,8 @@ def load_model(name: str | Path) -> PDVMRNN:
     if not (folder / WEIGHTS).is_file():
         raise ValueError(f"{folder} has no {WEIGHTS} yet: the training stopped before its first checkpoint")
     content = (folder / WEIGHTS).read_bytes()
+    if foreign := what_else_it_is(content):
+        raise ValueError(f"{folder / WEIGHTS} is {foreign}, and none of `preimage train`: put the run's own there, or train again")
     if is_damaged_safetensors(content):
         raise ValueError(f"{folder / WEIGHTS} is damaged, its checksum is another: restore it or train again")
     try:

@@ -1,5 +1,6 @@
 """Whether the parts of a run can be those of a network, asked before there is room made for it."""
 
+import json
 import math
 from collections.abc import Mapping
 
@@ -10,6 +11,12 @@ from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
 
 WEIGHTS = "model.safetensors"
+OURS = "home_pixels"
+"""A tensor of every network of ours."""
+PICKLED = b"\x80", b"PK\x03\x04"
+"""How a file begins that `torch.save` wrote, before PyTorch 1.6 and since."""
+LONGEST_HEADER = 100 << 20
+"""Bytes that safetensors allows."""
 
 
 def validate_sensors(sensors: Sensors) -> None:
@@ -47,3 +54,23 @@ def tensors_unlike(model: PDVMRNN, tensors: Mapping[str, torch.Tensor]) -> str |
         if not bool(tensors[name].isfinite().all()):
             return f"{name} holds numbers that are not finite"
     return None
+
+
+def what_else_it_is(content: bytes) -> str | None:
+    """What a file is that holds the weights of some other program; None where it may hold ours, damaged or not.
+
+    >>> what_else_it_is(b"\x80\x04.")
+    'a pickled file of PyTorch, which is not opened'
+    """
+    if content.startswith(PICKLED):
+        return "a pickled file of PyTorch, which is not opened"
+    length = int.from_bytes(content[:8], "little")
+    if not 0 < length <= min(LONGEST_HEADER, len(content) - 8):
+        return None
+    try:
+        names = [name for name in json.loads(content[8 : 8 + length]) if name != "__metadata__"]
+    except (ValueError, RecursionError):
+        return None
+    if not names or OURS in names:
+        return None
+    return f"a checkpoint of another network ({names[0]:.60} and {len(names) - 1} more)"

@@ -1,0 +1,36 @@
+"""A process that plans all day neither grows nor keeps files open."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+PLANS = """
+import json, os, sys
+from dataclasses import replace
+import preimage as pi
+from preimage.network import engines
+engines.ENGINES[:] = []  # compiling would take longer than all plans
+few = {"iterations": 1, "restarts": 0, "horizon": 2, "dimensions": 2, "test_time_augmentation": 0.0, "precision": "float32"}
+planner = pi.load_planner(sys.argv[1], replace(pi.PlanOptions.full(), **few))
+goal = planner.plan(goal=pi.Percept(planner.model.home_pixels.new_zeros(64, 64, 1).byte().numpy())).goal
+def used():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]), len(os.listdir("/proc/self/fd"))
+seen = []
+for number in range(2000):
+    planner.plan(goal=goal)
+    if number + 1 in (10, 2000):
+        seen.append(used())
+print(json.dumps(seen))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory and open files are read from /proc")
+def test_two_thousand_plans_take_the_memory_of_ten_and_leave_no_file_open(run_folder):
+    ended = subprocess.run([sys.executable, "-c", PLANS, str(run_folder)], capture_output=True, text=True, check=True)
+    (pages, files), (pages_later, files_later) = json.loads(ended.stdout)
+    assert pages_later <= 1.05 * pages
+    assert files_later == files

@@ -1,0 +1,44 @@
+"""Results that somebody changed, or that are none, are named: the page is made of what is as it says, or not at all."""
+
+import json
+import shutil
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from mutations import change_a_value
+from preimage.report.result_files import read_result, read_results
+from preimage.report.results import write_results
+
+RESULTS = Path(__file__).parents[1] / "results"
+KINDS = ["bench", "reach-100-small-seed0-recognition", "reach-100-small-seed0-modalities", "move-object-100-small-seed0-open"]
+KINDS += ["g1-bottle-47-small-blends-held-out"]
+
+
+def test_all_results_of_the_repository_are_read():
+    assert len(read_results(RESULTS)) == len(list(RESULTS.glob("*.json")))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_result_that_was_changed_anywhere_is_reported_or_named(tmp_path, kind):
+    chance, whole = Random(0), json.loads((RESULTS / f"{kind}.json").read_text())
+    whole.pop("rows", None)
+    shutil.copy(RESULTS / "reach-100-small-seed0-closed.json", tmp_path)
+    refused = 0
+    for value in [None, "x", -1, 1e400, [], {}, [[1]], True, 10**30]:
+        for _ in range(6):
+            (tmp_path / "changed.json").write_text(json.dumps(change_a_value(whole, chance, value)))
+            try:
+                write_results(tmp_path, tmp_path / "page.md")
+            except ValueError as error:
+                refused += 1
+                assert str(error).startswith(f"{tmp_path / 'changed.json'} is no result (")  # noqa: PT017
+    assert refused
+
+
+@pytest.mark.parametrize("content", [b"", b"[1]", b"{", b"\xff", b"[" * 100_000, b'{"task": NaN}'])
+def test_what_is_no_json_object_is_named(tmp_path, content):
+    (tmp_path / "other.json").write_bytes(content)
+    with pytest.raises(ValueError, match=r"other.json is no result \(.*\): remove it, or write it anew"):
+        read_result(tmp_path / "other.json")
