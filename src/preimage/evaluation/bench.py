@@ -92,7 +92,7 @@ def bench(device: torch.device = CPU, *, quick: bool = False, report: Report = p
     result["limit_gflops"] = limits
     report(f"limit: {limits['fp32']:.0f} GFLOP/s in float32, {limits['bf16']:.0f} in bfloat16")
     if not fast.is_available():
-        report("tiny networks are not compiled, for numba is not there: pip install 'preimage[fast]'")
+        report("the loop is not compiled, for numba is not there: pip install 'preimage[fast]'")
     works = works_at(taken, other, device, quick=quick)
     result["train"] = {name: timed_training(work, device, limits, report, name) for name, work in works.items()}
     demonstrations = record(Arm(), TASKS[TASK], count=5 if quick else 15, seed=TIMED_SEED)

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from preimage.fast.convolution import OPTIONS
-from preimage.fast.simd import VECTOR_SIZE
+from preimage.fast.simd import VECTOR_SIZE, has
 
 UPPER = np.uint32(0xFFFF0000)
 """The bits of a number in single precision that are one in bfloat16."""
@@ -24,11 +24,7 @@ UPPER = np.uint32(0xFFFF0000)
 
 def is_compiled() -> bool:
     """Whether the processor that numba compiles for has the instruction."""
-    from llvmlite import binding
-    from numba.core import config
-
-    chosen = getattr(config, "CPU_NAME", None)  # NUMBA_CPU_NAME
-    return chosen in (None, "host") and binding.get_host_cpu_features().get("avx512bf16", False)
+    return has("avx512bf16")
 
 
 @njit(**OPTIONS)

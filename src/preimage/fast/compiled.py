@@ -11,33 +11,20 @@ arrays (slices that begin at 0) and divide without a check.
 numba caches compiled code by the age of the file of the outermost function, which is this one.
 """
 
-# pyright: reportGeneralTypeIssues=false, reportArgumentType=false
-# What numba declares says too little.
-
 import numpy as np
-from numba import njit, types
-from numba.extending import overload
+from numba import njit
 
-from preimage.fast.bfloat16 import halve, margin_of, pair_channels, pair_weights
-from preimage.fast.convolution import OPTIONS, correlate, products
-from preimage.fast.matrix import multiply, multiply_transposed
-from preimage.fast.simd import VECTOR_SIZE, horizontal_sum, tanh
-
-CHUNK = 2048
-"""Numbers of a channel that a weight gradient goes through before the next channel: split_gates such chunks fit the first cache."""
-
-INLINED = {name: OPTIONS[name] for name in ("fastmath", "error_model")}
-"""Options of what becomes part of the function that calls it."""
-
-CONVOLUTION, MATRIX, SCATTER, POINTS, GATES, PIXELS, CODES = range(7)
-"""Kinds of operations: a 3x3 convolution, a matrix, a rearrangement, the positions of keypoints, an LSTM's gates, and the outputs: pixels
-and joint codes."""
-FIELDS = (
-    *("kind", "source", "source_now", "target", "target_now", "inputs", "outputs", "batch", "size", "row", "image"),
-    *("weight", "bias", "cell", "tanh_cell", "spare", "first", "count", "tape"),
+from preimage.fast.convolution import OPTIONS
+from preimage.fast.linear import (
+    convolution_backward,
+    convolution_forward,
+    convolution_weight_gradient,
+    matrix_backward,
+    matrix_forward,
+    record,
 )
-OPERATION = np.dtype([*((name, np.int64) for name in FIELDS), ("factor", np.float64)])
-"""One line of a program; fields that a kind does not use are 0. Indices count from the start of a step's buffer."""
+from preimage.fast.operations import CONVOLUTION, GATES, MATRIX, PIXELS, POINTS, SCATTER, add_scaled, clear_padding
+from preimage.fast.simd import tanh
 
 
 @njit(**OPTIONS)
@@ -61,153 +48,6 @@ def scatter(sources, targets, x, y, factor):
     factor = x.dtype.type(factor)
     for i in range(len(sources)):
         y[targets[i]] += factor * x[sources[i]]
-
-
-@njit(**OPTIONS)
-def clear_padding(y, first, channels, op):
-    """Zeros where there is no pixel: the last row and column of every image, and the rest of the last tile."""
-    for channel in range(first, first + channels * op.size, op.size):
-        for image in range(channel, channel + op.batch * op.image, op.image):
-            for p in range(image + op.row - 1, image + op.image, op.row):
-                y[p] = 0
-            y[image + op.image - op.row : image + op.image] = 0
-        y[channel + op.batch * op.image : channel + op.size] = 0
-
-
-def add_correlation(x, source, inputs, y, target, outputs, op, kernels, scratch):
-    """Add a 3x3 correlation of the inputs to the outputs, in bfloat16 where the scratch is for pairs of that."""
-    raise NotImplementedError
-
-
-@overload(add_correlation, jit_options=INLINED)
-def add_correlation_at(x, source, inputs, y, target, outputs, op, kernels, scratch):
-    def whole(x, source, inputs, y, target, outputs, op, kernels, scratch):
-        correlate(x, source, inputs, y, target, outputs, op.size, op.row, kernels, op.weight, op.spare)
-
-    def in_pairs(x, source, inputs, y, target, outputs, op, kernels, scratch):
-        margin = margin_of(op.row)
-        count = pair_channels(x, source, inputs, op.size, scratch[0], margin)
-        correlate(scratch[0], margin, count, y, target, outputs, op.size, op.row, kernels, op.weight, op.spare)
-
-    return in_pairs if scratch.dtype == types.uint32 else whole
-
-
-@njit(**OPTIONS)
-def convolution_forward(op, x, y, weights, kernels, scratch):
-    """A 3x3 convolution that keeps the size of the feature maps."""
-    for n in range(op.outputs):
-        y[op.target + n * op.size : op.target + (n + 1) * op.size] = weights[op.bias + n]
-    add_correlation(x, op.source, op.inputs, y, op.target, op.outputs, op, kernels, scratch)
-    clear_padding(y, op.target, op.outputs, op)
-
-
-@njit(**OPTIONS)
-def flipped(operations, weights):
-    """The weights of all convolutions as the backward pass needs them: inputs and outputs exchanged, kernels flipped."""
-    result = np.empty_like(weights)
-    for line in range(len(operations)):
-        op = operations[line]
-        if op.kind == CONVOLUTION:
-            for n in range(op.outputs):
-                for i in range(op.inputs):
-                    for tap in range(9):
-                        result[op.weight + 9 * (i * op.outputs + n) + 8 - tap] = weights[op.weight + 9 * (n * op.inputs + i) + tap]
-    return result
-
-
-@njit(**OPTIONS)
-def paired(operations, weights, exchanged):
-    """The weights of all convolutions in bfloat16, after or before inputs and outputs are exchanged."""
-    result = np.empty(len(weights), np.uint32)
-    for line in range(len(operations)):
-        op = operations[line]
-        if op.kind == CONVOLUTION:
-            outputs, inputs = (op.inputs, op.outputs) if exchanged else (op.outputs, op.inputs)
-            pair_weights(weights, op.weight, outputs, inputs, result)
-    return result
-
-
-@njit(**OPTIONS)
-def convolution_backward(op, grad_x, grad_y, kernels, scratch):
-    add_correlation(grad_y, op.target, op.outputs, grad_x, op.source, op.inputs, op, kernels, scratch)
-    clear_padding(grad_x, op.source, op.inputs, op)
-
-
-@njit(**OPTIONS)
-def convolution_weight_gradient(op, x, grad_y, grad_weights, scratch):
-    for n in range(op.outputs):
-        grad_weights[op.bias + n] += sum_of(grad_y[op.target + n * op.size : op.target + (n + 1) * op.size])
-    add_products(x, grad_y, op, grad_weights, scratch)
-
-
-def add_products(x, grad_y, op, grad_weights, scratch):
-    """Add the gradients of a convolution's kernels, in bfloat16 where the scratch is for pairs of that."""
-    raise NotImplementedError
-
-
-@overload(add_products, jit_options=INLINED)
-def add_products_at(x, grad_y, op, grad_weights, scratch):
-    def whole(x, grad_y, op, grad_weights, scratch):
-        add_products_of(x, op.source, grad_y, op.target, op, grad_weights, VECTOR_SIZE)
-
-    def in_pairs(x, grad_y, op, grad_weights, scratch):
-        margin, halves, gradients = margin_of(op.row), scratch[0].view(np.uint16), scratch[1].view(np.uint16)
-        halve(x, op.source, op.inputs * op.size, halves, margin)
-        halve(grad_y, op.target, op.outputs * op.size, gradients, margin)
-        add_products_of(halves, margin, gradients, margin, op, grad_weights, 2 * VECTOR_SIZE)
-
-    return in_pairs if scratch.dtype == types.uint32 else whole
-
-
-@njit(**OPTIONS)
-def add_products_of(x, source, grad_y, target, op, grad_weights, in_vector):
-    """Of three channels at a time, 27 sums in registers."""
-    size, step, zero = op.size, 9 * op.inputs, grad_weights.dtype.type(0)
-    for begin in range(0, size, CHUNK):
-        length = min(CHUNK, size - begin)
-        for n in range(0, op.outputs, 3):
-            a, left = target + n * size + begin, op.outputs - 1 - n
-            b, c = a + min(1, left) * size, a + min(2, left) * size
-            for i in range(op.inputs):
-                sums = products(x, source + i * size + begin, length, op.row, grad_y, a, b, c, zero, in_vector)
-                first = op.weight + 9 * (n * op.inputs + i)
-                for k in range(min(3, left + 1)):
-                    for tap in range(9):
-                        grad_weights[first + k * step + tap] += horizontal_sum(sums[tap][k])
-
-
-@njit(**OPTIONS)
-def add_scaled(y, x, factor):
-    for i in range(len(y)):
-        y[i] += factor * x[i]
-
-
-@njit(**OPTIONS)
-def sum_of(x):
-    total = x.dtype.type(0)
-    for i in range(len(x)):
-        total += x[i]
-    return total
-
-
-@njit(**OPTIONS)
-def matrix_forward(op, x, y, weights):
-    batch = op.size
-    for n in range(op.outputs):
-        y[op.target + n * batch : op.target + (n + 1) * batch] = weights[op.bias + n]
-    multiply(weights, op.weight, op.inputs, op.outputs, x, op.source, batch, y, op.target)
-
-
-@njit(**OPTIONS)
-def matrix_backward(op, grad_x, grad_y, weights):
-    multiply_transposed(weights, op.weight, op.inputs, op.outputs, grad_y, op.target, op.size, grad_x, op.source)
-
-
-@njit(**OPTIONS)
-def record(op, grad_y, tape):
-    """The weights of a matrix get their gradients from the outputs' of all steps, by one large product (`fast.loop`)."""
-    count = op.outputs * op.size
-    tape[op.tape : op.tape + count] = grad_y[op.target : op.target + count]
 
 
 @njit(**OPTIONS)

@@ -1,7 +1,8 @@
 """Convolution kernels on flat channels: the nine taps of a 3x3 kernel are nine constant offsets, if every row ends in a zero.
 
-Only what takes long is here. Sums stay in registers: `correlate` sums a tile, two SIMD vectors (`fast.simd`) of four channels, over all
-inputs and taps before writing it; `products` sums the 27 products that the weight gradients of three channels need.
+Only what takes long is here. Sums stay in registers: `correlate` sums a tile, a few SIMD vectors (`fast.simd`) of four channels, over all
+inputs and taps before writing it; `products` sums the products that the weight gradients of three channels need. AVX-512 has twice as many
+registers as AVX2; what fits them is chosen here.
 
 numba caches compiled code by the age of the file that starts the compilation, `fast.compiled`: touch that one after a change here.
 
@@ -33,7 +34,11 @@ def can_cache() -> bool:
 
 OPTIONS: dict[str, Any] = {"fastmath": True, "nogil": True, "cache": can_cache(), "error_model": "numpy"}
 """numpy's error model: Python's would check every division for a zero, one number at a time."""
-TILE = 2 * VECTOR_SIZE
+VECTORS = 2 if VECTOR_SIZE == 16 else 3
+"""Vectors of a tile. With AVX2 twelve of them, three and a factor are all registers; with AVX-512 a pair in bfloat16 asks for two."""
+LINES = 3 if VECTOR_SIZE == 16 else 1
+"""Lines of a kernel whose products are summed at once: with three channels 27 sums, or 9."""
+TILE = VECTORS * VECTOR_SIZE
 """Numbers of a channel that a convolution sums at once; the length of a channel is a multiple of it."""
 
 
@@ -51,53 +56,63 @@ def correlate(x, source, inputs, y, target, outputs, size, row, weights, first, 
 
 @njit(**OPTIONS)
 def add_tile(x, source, inputs, size, row, y, a, b, c, d, weights, u, v, w, z):
-    """Two vectors of four channels, which begin at a, b, c and d, with weights that begin at u, v, w and z: all sums stay in registers."""
-    sums_a, sums_b, sums_c, sums_d = load_two(y, a), load_two(y, b), load_two(y, c), load_two(y, d)
+    """A tile of four channels, which begin at a, b, c and d, with weights that begin at u, v, w and z: all sums stay in registers."""
+    sums_a, sums_b, sums_c, sums_d = load_tile(y, a), load_tile(y, b), load_tile(y, c), load_tile(y, d)
     tap = 0
     for i in range(inputs):
         for line in range(-1, 2):
             for column in range(-1, 2):
-                taps = load_two(x, source + i * size + line * row + column)
-                sums_a, sums_b = multiply_add_two(sums_a, weights[u + tap], taps), multiply_add_two(sums_b, weights[v + tap], taps)
-                sums_c, sums_d = multiply_add_two(sums_c, weights[w + tap], taps), multiply_add_two(sums_d, weights[z + tap], taps)
+                taps = load_tile(x, source + i * size + line * row + column)
+                sums_a, sums_b = multiply_add_tile(sums_a, weights[u + tap], taps), multiply_add_tile(sums_b, weights[v + tap], taps)
+                sums_c, sums_d = multiply_add_tile(sums_c, weights[w + tap], taps), multiply_add_tile(sums_d, weights[z + tap], taps)
                 tap += 1
-    store_two(y, a, sums_a)
-    store_two(y, b, sums_b)
-    store_two(y, c, sums_c)
-    store_two(y, d, sums_d)
+    store_tile(y, a, sums_a)
+    store_tile(y, b, sums_b)
+    store_tile(y, c, sums_c)
+    store_tile(y, d, sums_d)
 
 
 @njit(**OPTIONS)
-def load_two(numbers, first):
-    return load(numbers, first), load(numbers, first + VECTOR_SIZE)
+def load_tile(numbers, first):
+    if VECTORS == 2:
+        return load(numbers, first), load(numbers, first + VECTOR_SIZE)
+    return load(numbers, first), load(numbers, first + VECTOR_SIZE), load(numbers, first + 2 * VECTOR_SIZE)
 
 
 @njit(**OPTIONS)
-def store_two(numbers, first, two):
-    store(numbers, first, two[0])
-    store(numbers, first + VECTOR_SIZE, two[1])
+def store_tile(numbers, first, vectors):
+    for k in range(VECTORS):
+        store(numbers, first + k * VECTOR_SIZE, vectors[k])
 
 
 @njit(**OPTIONS)
-def multiply_add_two(sums, weight, two):
+def multiply_add_tile(sums, weight, vectors):
     weight = broadcast(weight)
-    return multiply_add(sums[0], weight, two[0]), multiply_add(sums[1], weight, two[1])
+    if VECTORS == 2:
+        return multiply_add(sums[0], weight, vectors[0]), multiply_add(sums[1], weight, vectors[1])
+    first = multiply_add(sums[0], weight, vectors[0])
+    return first, multiply_add(sums[1], weight, vectors[1]), multiply_add(sums[2], weight, vectors[2])
 
 
 @njit(**OPTIONS)
-def products(x, source, length, row, grad_y, a, b, c, zero, step):
-    """Of the nine taps around each place of x with the gradients of three channels, which begin at a, b and c.
+def products(x, first, length, row, grad_y, a, b, c, zero, step):
+    """Of the taps in the lines from `first` on with the gradients of three channels, which begin at a, b and c.
 
-    Tap by tap, so that only one of them needs a register beside the 27 sums. A vector holds so many numbers as step says.
+    Tap by tap, so that only one of them needs a register beside the sums. A vector holds so many numbers as step says.
     """
     zero = broadcast(zero)
     three = zero, zero, zero
+    if LINES == 1:
+        sums = three, three, three
+        for p in range(0, length, step):
+            y = load(grad_y, a + p), load(grad_y, b + p), load(grad_y, c + p)
+            sums = multiply_add_line(sums, y, x, first + p)
+        return sums
     s = three, three, three, three, three, three, three, three, three
     for p in range(0, length, step):
         y = load(grad_y, a + p), load(grad_y, b + p), load(grad_y, c + p)
-        middle = source + p
-        upper, lower = multiply_add_line(s[:3], y, x, middle - row), multiply_add_line(s[6:], y, x, middle + row)
-        s = upper + multiply_add_line(s[3:6], y, x, middle) + lower
+        upper, lower = multiply_add_line(s[:3], y, x, first + p), multiply_add_line(s[6:], y, x, first + p + 2 * row)
+        s = upper + multiply_add_line(s[3:6], y, x, first + p + row) + lower
     return s
 
 

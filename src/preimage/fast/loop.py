@@ -19,7 +19,9 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from preimage.fast.compiled import MATRIX, flipped, go_backward, go_forward, paired
+from preimage.fast.compiled import go_backward, go_forward
+from preimage.fast.linear import flipped, paired
+from preimage.fast.operations import MATRIX
 from preimage.fast.program import Program
 from preimage.fast.simd import VECTOR_SIZE
 from preimage.network.cells import State, space_to_depth

@@ -7,8 +7,11 @@ of a row meets zeros, or is written where nobody looks.
 numba caches compiled code by the age of the file that starts the compilation, `fast.compiled`: touch that one after a change here.
 
 >>> import numpy as np
->>> weights, x, y = np.full(7 * ROWS + VECTOR_SIZE, 2, np.float32), np.ones(2 * ROWS, np.float32), np.zeros(3, np.float32)
->>> multiply(weights, 0, 7, 3, x, 0, 1, y, 0)
+>>> weights, x, y = np.zeros(4 + VECTOR_SIZE, np.float32), np.array([5, 6], np.float32), np.zeros(2, np.float32)
+>>> weights[:4] = 1, 2, 3, 4
+>>> multiply(weights, 0, 2, 2, x, 0, 1, y, 0)
+>>> y.tolist()
+[17.0, 39.0]
 """
 
 # pyright: reportCallIssue=false

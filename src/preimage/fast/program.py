@@ -1,4 +1,4 @@
-"""A small network written as a list of operations, and its closed loop run by them.
+"""A network written as a list of operations, and its closed loop run by them.
 
 In a network of few channels a call of torch takes far longer than the arithmetic it asks for. So the network is first written down: a
 `Program` lists what a step does with one buffer of numbers, which holds everything the step computes. Compiled loops (`fast.compiled`)
@@ -28,8 +28,8 @@ import torch
 from torch import Tensor
 
 from preimage.fast.bfloat16 import margin_of
-from preimage.fast.compiled import CODES, CONVOLUTION, GATES, MATRIX, OPERATION, PIXELS, POINTS, SCATTER
 from preimage.fast.convolution import TILE
+from preimage.fast.operations import CODES, CONVOLUTION, GATES, MATRIX, OPERATION, PIXELS, POINTS, SCATTER
 from preimage.network.cells import SHARPNESS, depth_to_space, space_to_depth
 
 

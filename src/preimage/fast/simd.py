@@ -1,8 +1,8 @@
 """SIMD vectors: as many numbers as a core's widest registers hold, loaded, multiplied and added as one value in compiled loops.
 
 Compilers do not find out for themselves how to keep the sums of a convolution in registers, so it is spelt out here: a `Vector` holds as
-many numbers in single precision as the widest registers do. Where registers are narrower, or numbers longer, several registers make up
-one vector, so the same source serves both precisions and every processor.
+many numbers in single precision as the widest registers do, as far as the compiler is told of them. Where numbers are longer, several
+registers make up one vector, so the same source serves both precisions and every processor.
 
 numba caches compiled code by the age of the file that starts the compilation, `fast.compiled`: touch that one after a change here.
 
@@ -23,13 +23,21 @@ import math
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import types
+from numba.core import config
 from numba.core.cgutils import get_or_insert_function
 from numba.extending import intrinsic, models, overload, register_model
 
-VECTOR_SIZE = 16
-"""Numbers in a vector: as many as fit the widest registers in single precision."""
+
+def has(feature: str) -> bool:
+    """Whether the processor that numba compiles for has this (NUMBA_CPU_FEATURES, by default the machine's own)."""
+    chosen = getattr(config, "CPU_FEATURES", None)
+    return bool(binding.get_host_cpu_features().get(feature)) if chosen is None else f"+{feature}" in chosen.split(",")
+
+
+VECTOR_SIZE = 16 if has("avx512f") else 8
+"""Numbers in a vector: as many as fit the widest registers in single precision, of AVX-512 or AVX2, or two of NEON's."""
 
 
 class Vector(types.Type):
