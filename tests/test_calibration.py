@@ -61,7 +61,10 @@ def test_outcomes_that_are_all_alike_give_finite_odds(all_reached: bool) -> None
     assert (bias > 1) == all_reached
 
 
-@pytest.mark.parametrize(("num_possible", "stranger", "promised"), [(60, 0, 1 / 41), (147, 0, 1 / 99), (150, 1, 2 / 101), (450, 5, 6 / 301)])
+BOUNDS = [(60, 0, 1 / 41), (147, 0, 1 / 99), (150, 1, 2 / 101), (450, 5, 6 / 301)]
+
+
+@pytest.mark.parametrize(("num_possible", "stranger", "promised"), BOUNDS)
 def test_the_bound_is_the_one_that_is_said(num_possible: int, stranger: int, promised: float) -> None:
     """Every third of the possible goals says what is usual; of the n others the k-th strangest is the limit: k / (n + 1)."""
     made = calibrated(num_possible=num_possible)

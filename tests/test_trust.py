@@ -64,10 +64,9 @@ def test_without_calibration_it_says_so_and_refuses_nothing(planner: Planner) ->
 
 
 def test_uncalibrated_ranks_still_put_what_cannot_be_last(planner: Planner) -> None:
-    possible, black, noise = (
-        planner.plan(start=bar(0.5).first, goal=Percept(frame)).trust
-        for frame in (bar(0.7).last.frame, np.zeros((16, 16, 1), np.uint8), np.random.default_rng(0).integers(0, 256, (16, 16, 1), np.uint8))
-    )
+    black, noise = np.zeros((16, 16, 1), np.uint8), np.random.default_rng(0).integers(0, 256, (16, 16, 1), np.uint8)
+    frames = bar(0.7).last.frame, black, noise
+    possible, black, noise = (planner.plan(start=bar(0.5).first, goal=Percept(frame)).trust for frame in frames)
     assert possible is not None
     assert black is not None
     assert noise is not None
@@ -200,7 +199,9 @@ def test_a_refused_plan_is_not_executed(tmp_path: Path, refused_plan: Plan, scen
     assert "joints" in sentence
 
 
-def test_plan_refuses_with_exit_code_1_and_writes_anyway(tmp_path: Path, run_folder: Path, data: Path, monkeypatch, refused, capsys) -> None:
+def test_plan_refuses_with_exit_code_1_and_writes_anyway(
+    tmp_path: Path, run_folder: Path, data: Path, monkeypatch, refused, capsys
+) -> None:
     verdict = Trust(0.02, True, (NOT_IMAGINED,), "calibrated by 60 goals")
     monkeypatch.setattr(Assessment, "__call__", lambda self, plan: verdict)
     words = "plan", run_folder, "--goal", f"{data}:0", "--out", tmp_path / "plan", "--iterations", "1", "--restarts", "0"

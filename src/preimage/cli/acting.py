@@ -189,9 +189,7 @@ def verdict_on(plan: Plan, when: str) -> str:
     return f"{words[plan.verdict]}, error {plan.error:.3f}{share}"
 
 
-def execute_(
-    folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None, anyway: bool = False
-) -> None:
+def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None, anyway: bool = False) -> None:
     """Let the simulated arm execute a plan, and judge where it ends.
 
     Args:

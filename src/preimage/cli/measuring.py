@@ -56,7 +56,7 @@ def evaluate_(
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
         loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from the demonstration.
-        impossible: count instead which goals are refused, twelve kinds of impossible ones among them, and what trust in the others is worth.
+        impossible: count instead which goals are refused, twelve impossible kinds among them, and what trust in the others is worth.
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share the goals.
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.

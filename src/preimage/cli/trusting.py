@@ -34,7 +34,7 @@ def calibrate_(
 
     Args:
         run: a run folder, or the name of a bundled model.
-        goals: how many goals the simulator draws as the demonstrations were; half as many lie beyond, a quarter as many are no goals at all.
+        goals: how many the simulator draws as the demonstrations were; half as many lie beyond, a quarter as many are impossible pictures.
         seed: draws the goals; take another one than the demonstrations were recorded with, and than is evaluated with.
         task: name of the task; by default the one that the run was trained on.
         data: recordings instead of the simulator, those of them that were never trained on: a plan succeeds that ends in their joints.
@@ -142,7 +142,10 @@ def lines_of(result: dict[str, Any]) -> list[str]:
         low, high = one["interval"]
         return f"{one['refused']}/{one['goals']} refused (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
 
-    lines = [f"{'possible goals':22s} {counted(result['falsely_refused'])}", f"{'goals on the rim':22s} {counted(result['refused_on_rim'])}"]
+    lines = [
+        f"{'possible goals':22s} {counted(result['falsely_refused'])}",
+        f"{'goals on the rim':22s} {counted(result['refused_on_rim'])}",
+    ]
     lines += [f"{kind:22s} {counted(one)}" for kind, one in result["refused"].items()]
     lines += [f"area under the ROC, by {name}: {area:.3f}" for name, area in result["roc_area"].items()]
     return [*lines, f"expected calibration error {result['calibration_error']:.3f}"]

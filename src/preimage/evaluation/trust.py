@@ -11,7 +11,6 @@ pictures that nothing can be brought to. Those of the last that calibration sees
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -89,7 +88,8 @@ def bench_goals(planner: Planner, arm: Arm, task: Task, recorded: Sequence[Demon
     """Plans to impossible pictures of all twelve kinds, so many of each."""
     for number in range(goals):
         one = recorded[number % len(recorded)]
-        assert one.scene is not None and one.last.frame is not None
+        assert one.scene is not None
+        assert one.last.frame is not None
         for kind, make in BENCH.items():
             rng = np.random.default_rng((seed, 2, number))
             yield impossible(kind, planner, one.first, make(Source(arm, task, one.scene, one.first, one.last.frame, rng)))

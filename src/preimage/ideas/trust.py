@@ -168,7 +168,7 @@ def worst_place(difference: Float[Tensor, "C H W"]) -> Float[Tensor, ""]:
     return torch.nn.functional.avg_pool2d(difference.square().mean(0)[None, None], side, max(1, side // 2)).max()
 
 
-def nearest(wanted: Tensor, known: Float[Tensor, "N *_"]) -> Float[Tensor, ""]:
+def nearest(wanted: Tensor, known: Float[Tensor, "N ..."]) -> Float[Tensor, ""]:
     """Distance to the nearest of what is known."""
     return torch.cdist(wanted.flatten()[None].double(), known.cpu().flatten(1).double()).min()
 
