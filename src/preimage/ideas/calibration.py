@@ -31,8 +31,8 @@ SPREAD_QUANTILE = 0.9
 """The spread of evidence is from the median of possible goals to this quantile of them: what lies below the median is no evidence."""
 EVERY = 3
 """Of the possible goals every third says what is usual; the others set the limit of refusals."""
-SMALLEST_SPREAD = 0.05
-"""Evidence is logarithmic: differences of less than a twentieth are none."""
+SMALLEST_SPREAD = 0.3
+"""Evidence is logarithmic: factors of less than 1.35 are none, and a few goals that are alike by chance make no spread."""
 NEWTON_STEPS = 30
 
 Evidence = Mapping[str, float]
@@ -95,16 +95,14 @@ class Calibration:
         if known.sum() < EVERY:
             raise ValueError(f"{int(known.sum())} possible goals cannot calibrate anything: give {EVERY} or more")
         of_usual = np.flatnonzero(known)[::EVERY]
-        usual = np.median(rows[of_usual], axis=0)
-        spread = np.maximum(np.quantile(rows[of_usual], SPREAD_QUANTILE, axis=0) - usual, SMALLEST_SPREAD)
+        usual = rounded(np.median(rows[of_usual], axis=0))
+        spread = rounded(np.maximum(np.quantile(rows[of_usual], SPREAD_QUANTILE, axis=0) - usual, SMALLEST_SPREAD))
         known[of_usual] = False
         scaled = (rows - usual) / spread
         bias, weights = fit_logistic(np.clip(scaled, 0, FARTHEST), np.array(reached, bool))
-        strangeness = np.sort(scaled[known].max(axis=1))
-        allowed = int(FALSE_REFUSALS * (known.sum() + 1))
-        num_stranger = max(0, allowed - 1)
+        limit, num_stranger = limit_of(scaled[known].max(axis=1))
         return cls(
-            names, floats(usual), floats(spread), floats(weights), float(bias), float(strangeness[-1 - num_stranger]),
+            names, tuple(usual.tolist()), tuple(spread.tolist()), tuple(rounded(weights).tolist()), round(bias, 6), limit,
             int(known.sum()), num_stranger, len(rows), int(np.sum(reached)), dict(plan or {}),
         )  # fmt: skip
 
@@ -161,5 +159,20 @@ def fit_logistic(rows: Float[np.ndarray, "N E"], success: Bool[np.ndarray, " N"]
         del left[int(found[1:].argmin())]
 
 
-def floats(numbers: Float[np.ndarray, " N"]) -> tuple[float, ...]:
-    return tuple(float(f"{number:.6g}") for number in numbers)
+def limit_of(strangeness: Float[np.ndarray, " N"]) -> tuple[float, int]:
+    """From where on goals are refused, and how many of these possible ones are stranger.
+
+    Of n goals the k-th strangest is the limit, k being the most for which k / (n + 1) is at most FALSE_REFUSALS. Where there are too few
+    for that to be one, the limit lies beyond the strangest, by as much as an exponential tail would have it.
+    """
+    ordered = np.sort(strangeness)
+    num_stranger = max(0, int(FALSE_REFUSALS * (len(ordered) + 1)) - 1)
+    median = np.median(ordered)
+    tail = float((ordered[ordered >= median] - median).mean())
+    beyond = tail * max(0.0, float(np.log(1 / (FALSE_REFUSALS * (len(ordered) + 1)))))
+    return float(ordered[-1 - num_stranger]) + beyond, num_stranger
+
+
+def rounded(numbers: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    """To as many digits as are kept."""
+    return np.round(numbers, 6)

@@ -49,8 +49,8 @@ PLACE = 1 / 16
 """Side of the place that is imagined worst, in heights of a frame: about a hand, or a thing on the table."""
 FINEST_PIXEL = 1e-6
 """Squared difference of pixels below which pictures are the same (half ranges, squared): a tenth of a grey level."""
-FINEST_JOINT = 1e-3
-"""Difference of joints, as a share of their range, below which they are the same."""
+FINEST_JOINT = 5e-3
+"""Difference of joints, as a share of their range, below which they are the same: a code resolves no more."""
 DOUBTFUL = 3.0
 """Where nothing was calibrated, evidence against a plan: so many times as far from the demonstrations as these from each other."""
 
