@@ -174,7 +174,7 @@ def sentences_of(legs: Sequence[Plan], found: Plan, out: Path) -> list[str]:
     at = f"at step {found.arrival_step} ({found.arrival_step / found.rate_hz:.1f} s)"
     lines.append(f"{verdict_on(found, at)}, planned in {found.seconds:.1f} s, in {out}")
     lines.append(f"stopped: {found.stopped.value}")
-    return [*lines, found.trust.sentence, found.trust.note] if found.trust else lines
+    return [*lines, *(line for line in (found.trust.sentence, found.trust.note) if line)] if found.trust else lines
 
 
 def verdict_on(plan: Plan, when: str) -> str:

@@ -7,7 +7,7 @@ that is done, and change nothing about it. What they mean is learned from goals 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -47,12 +47,14 @@ REASONS = {
 """The evidence by name, and what it says in words where there is much of it."""
 PLACE = 1 / 16
 """Side of the place that is imagined worst, in heights of a frame: about a hand, or a thing on the table."""
+UNLIKELY = 0.5
+"""A plan below this probability of success has a reason, even where it is not refused."""
 FINEST_PIXEL = 1e-6
 """Squared difference of pixels below which pictures are the same (half ranges, squared): a tenth of a grey level."""
 FINEST_JOINT = 5e-3
 """Difference of joints, as a share of their range, below which they are the same: a code resolves no more."""
-DOUBTFUL = 3.0
-"""Where nothing was calibrated, evidence against a plan: so many times as far from the demonstrations as these from each other."""
+RANKED_BY = "unexplained", "goal_blend"
+"""What plans are ranked by where nothing was calibrated: what is not imagined of the goal, and how far it is from a blend of endings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +77,16 @@ class Assessment:
         if known is None or set(known.names) - set(evidence):
             why = "for plans with these options" if self.otherwise else "" if known is None else "for goals of this kind"
             note = f"not calibrated{' ' if why else ''}{why}: plans are ranked, and none is refused"
-            return Trust(None, note=note, strangeness=max(evidence.values(), default=0.0), evidence=evidence)
+            return Trust(None, note=note, strangeness=sum(evidence.get(name, 0.0) for name in RANKED_BY), evidence=evidence)
         probability, refused = known.probability(evidence), known.is_refused(evidence)
         return Trust(probability, refused, self.reasons(evidence, known), known.note, known.strangeness(evidence), evidence)
 
     def reasons(self, evidence: Mapping[str, float], known: Calibration) -> tuple[str, ...]:
-        """What is stranger than anything among goals that could be reached, the strangest first."""
+        """What is stranger than the limit of refusals, the strangest first; of an unlikely plan that is not refused, what makes it so."""
         scaled = dict(zip(known.names, known.scaled(evidence), strict=True))
         strange = sorted((name for name in scaled if scaled[name] > known.limit), key=lambda name: -scaled[name])
+        if not strange and known.probability(evidence) < UNLIKELY:
+            strange = [known.names[int(np.argmax(known.weights * known.scaled(evidence)))]]
         return tuple(dict.fromkeys(REASONS[name] for name in strange))
 
     def evidence(self, plan: Plan) -> dict[str, float]:
@@ -118,7 +122,6 @@ class Demonstrated:
     noise: float
     blend_error: Float[Tensor, ""]
     """How far the picture of an ending usually is from the blend of the others."""
-    usual: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, memory: DemonstrationMemory, model: PDVMRNN) -> "Demonstrated":
