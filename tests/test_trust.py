@@ -115,6 +115,8 @@ def test_a_start_that_nothing_began_like_is_a_reason(planner: Planner) -> None:
 def test_legs_are_trusted_as_the_least_of_them(planner: Planner) -> None:
     legs = planner.plan_in_turn(goals=[Percept(bar(far).last.frame) for far in (0.4, 0.8)])
     assert join(legs).trust in [leg.trust for leg in legs]
+    assert legs[1].trust is not None
+    assert legs[1].trust.note == "not calibrated for goals after the first: plans are ranked, and none is refused"
     sure, unsure, refused = Trust(0.9), Trust(0.4), Trust(0.6, refused=True)
     assert least_of([sure, unsure]) is unsure
     assert least_of([sure, unsure, refused]) is refused

@@ -233,13 +233,15 @@ class Planner:
 
         options, known = asdict(self.options) | {"precision": None}, self.calibration
         fits = known is not None and dict(known.plan) == options
-        return Assessment(self.model, self.memory if self.options.needs_memory else None, known if fits else None, known is not None)
+        otherwise = known is not None and not fits
+        return Assessment(self.model, self.memory if self.options.needs_memory else None, known if fits else None, otherwise)
 
     def plan_in_turn(self, *, goals: "Sequence[Percept]", start: "Percept | None" = None) -> "list[Plan]":
         """A plan to each of several goals, from where the one before arrives (`ideas.waypoints`)."""
         from preimage.ideas.waypoints import plan_in_turn
 
-        return plan_in_turn(self.plan, start=start, goals=goals)
+        first, *later = plan_in_turn(self.plan, start=start, goals=goals)
+        return [first, *(replace(leg, trust=self.assessment.of_later_leg(leg)) for leg in later)]
 
     def imagine_without_goal(self, start: "Percept") -> "Plan":
         """What is imagined when nothing is wanted (`method.plan.imagine_without_goal`)."""
