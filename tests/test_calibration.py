@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from preimage.ideas.calibration import Calibration, fit_logistic
-from preimage.presets import CALIBRATION, load_calibration
+from preimage.presets import CALIBRATION, PlanOptions, load_calibration
 from preimage.storage.atomic_write import write_json
 
 NAMES = "unexplained", "goal_blend", "disagreement"
@@ -26,7 +26,7 @@ def calibrated(seed: int = 0, *, num_possible: int = 60, num_others: int = 40) -
     return Calibration.of(evidence, reached.tolist(), possible=[number < num_possible for number in range(len(rows))])
 
 
-CALIBRATED = calibrated()
+CALIBRATED = replace(calibrated(), plan=asdict(PlanOptions.full()) | {"precision": None})
 NUMBERS = st.floats(-1e6, 1e6)
 
 

@@ -16,7 +16,7 @@ True
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -36,6 +36,7 @@ SMALLEST_SPREAD = 0.3
 NEWTON_STEPS = 30
 
 Evidence = Mapping[str, float]
+Options = Mapping[str, str | float | bool | None]
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Calibration:
     num_goals: int
     """Goals by which the probability was fitted."""
     num_reached: int
-    plan: Mapping[str, Any] = field(default_factory=dict)
+    plan: Options = field(default_factory=dict)
     """The options of the plans: it holds for no others."""
 
     def __post_init__(self) -> None:
@@ -75,9 +76,7 @@ class Calibration:
             raise ValueError(f"num_stranger is {self.num_stranger} of {self.num_possible} goals")
 
     @classmethod
-    def of(
-        cls, evidence: Sequence[Evidence], reached: Sequence[bool], *, possible: Sequence[bool], plan: Mapping[str, Any] | None = None
-    ) -> Self:
+    def of(cls, evidence: Sequence[Evidence], reached: Sequence[bool], *, possible: Sequence[bool], plan: Options | None = None) -> Self:
         """Learn from what became of goals.
 
         Args:
