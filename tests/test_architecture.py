@@ -29,6 +29,7 @@ MADE_OF = {  # an idea -> the ideas that it is made of
     "expected_joints": {"memory"},
     "memory": {"gripper_events", "image_features", "kriging"},
     "mixup": {"image_features"},
+    "trust": {"calibration", "image_features", "kriging", "memory"},
 }
 ROOMS = sorted(path for path in ROOT.rglob("*.py") if path not in (ROOT / "__init__.py", ROOT / "__main__.py"))
 
@@ -73,8 +74,12 @@ def test_an_idea_imports_no_other_than_what_it_is_made_of():
     assert {name: used for name, used in others.items() if used} == MADE_OF
 
 
-WIRES_NOTHING = {"preimage.ideas.waypoints.join", "preimage.ideas.memory.DemonstrationMemory"}
-"""What joins plans that were made, and what is kept of demonstrations, anyone may name."""
+WIRES_NOTHING = {
+    "preimage.ideas.waypoints.join",
+    "preimage.ideas.memory.DemonstrationMemory",
+    "preimage.ideas.calibration.Calibration",
+}
+"""What joins plans that were made, what is kept of demonstrations, and what was learned of trust in plans, anyone may name."""
 
 
 def test_presets_alone_wire_ideas_into_the_method():

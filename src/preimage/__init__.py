@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it to
     from preimage.network.intention import IntentionState
     from preimage.network.pdvmrnn import PDVMRNN
     from preimage.presets import Planner, PlanOptions, TrainOptions, load_memory, load_planner, remember, train
-    from preimage.records import Demonstration, Percept, Plan, Scene, Shown, Stopped, Trial
+    from preimage.records import Demonstration, GoalRefused, Percept, Plan, Scene, Shown, Stopped, Trial, Trust
     from preimage.report import figure, film
     from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
     from preimage.robot.execution import execute, execute_open_loop
@@ -40,6 +40,7 @@ __all__ = [
     "Demonstration",
     "DemonstrationMemory",
     "Evaluated",
+    "GoalRefused",
     "Ideas",
     "IntentionState",
     "ModelConfig",
@@ -59,6 +60,7 @@ __all__ = [
     "TrainConfig",
     "TrainOptions",
     "Trial",
+    "Trust",
     "evaluate",
     "execute",
     "execute_open_loop",
@@ -100,7 +102,7 @@ ROOMS = {
     "network.intention": ("IntentionState",),
     "network.pdvmrnn": ("PDVMRNN",),
     "presets": ("Planner", "PlanOptions", "TrainOptions", "load_memory", "load_planner", "remember", "train"),
-    "records": ("Demonstration", "Percept", "Plan", "Scene", "Shown", "Stopped", "Trial"),
+    "records": ("Demonstration", "GoalRefused", "Percept", "Plan", "Scene", "Shown", "Stopped", "Trial", "Trust"),
     "report": ("figure", "film"),
     "robot": ("TASKS", "Arm", "MoveObject", "Reach", "ReachTwo", "record"),
     "robot.execution": ("execute", "execute_open_loop"),

@@ -9,7 +9,8 @@
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self, get_args
 
@@ -22,8 +23,10 @@ if TYPE_CHECKING:
     import torch
 
     from preimage.compute.processes import ProcessGroup
+    from preimage.ideas.calibration import Calibration
     from preimage.ideas.memory import DemonstrationMemory
     from preimage.ideas.test_time_augmentation import TestTimeAugmentation
+    from preimage.ideas.trust import Assessment
     from preimage.method.one_step import Policy
     from preimage.method.plan import Recognition
     from preimage.method.seam import Augmentation, Ideas, PlanCorrection, TermsOf
@@ -32,6 +35,8 @@ if TYPE_CHECKING:
 
 MEMORY = "memory.safetensors"
 """Where a run keeps the memory of its demonstrations."""
+CALIBRATION = "calibration.json"
+"""Where a run keeps what trust in its plans is calibrated by."""
 Preset = Literal["paper", "regression", "full"]
 """paper: the paper's method alone; regression: network and search without memory; full: all ideas."""
 PRESETS: tuple[Preset, ...] = get_args(Preset)
@@ -197,6 +202,7 @@ class Planner:
         model: the network.
         memory: of the demonstrations it was trained on, for the presets that ask it.
         options: how plans are searched for; by default all ideas where there is a memory, else those that need none.
+        calibration: what trust in plans is calibrated by; it holds for the options it was made with.
         joint_unit: the unit of the joints, where it is known, for what is refused.
 
     Raises:
@@ -208,27 +214,44 @@ class Planner:
         model: "PDVMRNN",
         memory: "DemonstrationMemory | None" = None,
         options: PlanOptions | None = None,
+        calibration: "Calibration | None" = None,
         *,
         joint_unit: str | None = None,
     ) -> None:
-        self.model, self.memory, self.joint_unit = model, memory, joint_unit
+        self.model, self.memory, self.calibration, self.joint_unit = model, memory, calibration, joint_unit
         options = options or (PlanOptions.full() if memory else PlanOptions.regression())
         self.options = replace(options, precision=resolve_precision(options.precision, model.home_pixels.device))
         self.ideas = self.options.ideas(memory)
 
     def plan(self, *, goal: "Percept", start: "Percept | None" = None) -> "Plan":
-        """Imagine a way from the start percept to the goal (`method.plan.plan`); ValueError for a goal that cannot be imagined."""
+        """Imagine a way from the start percept to the goal (`method.plan.plan`), and say how far to trust it (`ideas.trust`).
+
+        Raises:
+            ValueError: the goal cannot be imagined.
+        """
         from preimage.method.plan import plan
 
         self.validate_goals([goal])
-        return plan(self.model, start=start, goal=goal, config=self.options, ideas=self.ideas)
+        found = plan(self.model, start=start, goal=goal, config=self.options, ideas=self.ideas)
+        return replace(found, trust=self.assessment(found))
+
+    @cached_property
+    def assessment(self) -> "Assessment":
+        """What says of a plan how far to trust it; by a calibration only where that was made with the same options."""
+        from preimage.ideas.trust import Assessment
+
+        options, known = asdict(self.options) | {"precision": None}, self.calibration
+        fits = known is not None and dict(known.plan) == options
+        otherwise = known is not None and not fits
+        return Assessment(self.model, self.memory if self.options.needs_memory else None, known if fits else None, otherwise)
 
     def plan_in_turn(self, *, goals: "Sequence[Percept]", start: "Percept | None" = None) -> "list[Plan]":
         """A plan to each of several goals, from where the one before arrives (`ideas.waypoints`)."""
         from preimage.ideas.waypoints import plan_in_turn
 
         self.validate_goals(goals)  # all of them before the first is planned to
-        return plan_in_turn(self.plan, start=start, goals=goals)
+        first, *later = plan_in_turn(self.plan, start=start, goals=goals)
+        return [first, *(replace(leg, trust=self.assessment.of_later_leg(leg)) for leg in later)]
 
     def validate_goals(self, goals: "Sequence[Percept]", *, source: str = "the goal") -> None:
         """Raises ValueError where joints that are looked at lie outside of those demonstrated (`data.joint_range`)."""
@@ -283,7 +306,7 @@ def load_planner(name: str | Path, options: PlanOptions | None = None, *, device
     if device is not None:
         model = model.to(device)
     memory = load_memory(name, device=model.home_pixels.device) if options.needs_memory else None
-    return Planner(model, memory, options, joint_unit=read_body(name).joint_unit)
+    return Planner(model, memory, options, load_calibration(name), joint_unit=read_body(name).joint_unit)
 
 
 def load_memory(name: str | Path, *, device: "torch.device | None" = None) -> "DemonstrationMemory":
@@ -301,6 +324,25 @@ def load_memory(name: str | Path, *, device: "torch.device | None" = None) -> "D
     except (KeyError, TypeError) as error:
         raise ValueError(f"the memory of {name} is broken or of another version ({error}): train again") from error
     return memory if device is None else memory.to(device)
+
+
+def load_calibration(name: str | Path) -> "Calibration | None":
+    """What trust in a run's plans is calibrated by; None where nobody did.
+
+    Raises:
+        ValueError: it is broken.
+    """
+    from preimage.ideas.calibration import Calibration
+    from preimage.storage.reading import read_json, record_of
+    from preimage.storage.runs import find_run
+
+    path = find_run(name) / CALIBRATION
+    if not path.exists():
+        return None
+    try:
+        return record_of(Calibration, read_json(path))
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be read ({error}): remove it, or write it anew with `preimage calibrate`") from error
 
 
 def train(
@@ -327,6 +369,7 @@ def train(
     def keep_memory(model: "PDVMRNN") -> None:
         if folder is not None and group.first:
             write_tensors(Path(folder) / MEMORY, remember(demonstrations, model).tensors())
+            (Path(folder) / CALIBRATION).unlink(missing_ok=True)  # it is of the weights before
 
     try:
         model = train_by_the_paper(

@@ -210,6 +210,47 @@ def verdict_of(unexplained: float | None) -> Verdict | None:
     return Verdict.NEAR if unexplained < NEAR_BELOW else Verdict.IN_DOUBT
 
 
+@dataclass(frozen=True)
+class Trust:
+    """How far a plan is to be trusted, said before anything moves.
+
+    >>> Trust(0.98).sentence
+    'trust: 98 % likely to succeed'
+    """
+
+    probability: float | None = None
+    """Of success, where the run was calibrated for such plans (`preimage calibrate`)."""
+    refused: bool = False
+    """Whether the goal looks further from those that were reached than refusals are bounded at."""
+    reasons: tuple[str, ...] = ()
+    """What speaks against the plan, in words, the strongest first."""
+    note: str = ""
+    """By how many goals it was calibrated and what that promises; or that it was not."""
+    strangeness: float = 0.0
+    """How far the plan's evidence is from that of plans that reached their goals; for ranking, the larger the worse."""
+    evidence: Mapping[str, float] = field(default_factory=dict)
+    """What was looked at (`ideas.trust`), by name, the larger the worse."""
+
+    def __post_init__(self) -> None:
+        if self.probability is not None and not 0 <= self.probability <= 1:
+            raise ValueError(f"probability is {self.probability:g}: give 0 to 1")
+
+    @property
+    def sentence(self) -> str:
+        """The trust in one line."""
+        likely = "not calibrated, no probability" if self.probability is None else f"{100 * self.probability:.0f} % likely to succeed"
+        return f"trust: {likely}" + (f" ({'; '.join(self.reasons)})" if self.reasons else "")
+
+
+class GoalRefused(Exception):
+    """A goal was refused, before anything moved."""
+
+    @classmethod
+    def by(cls, trust: Trust, otherwise: str) -> "GoalRefused":
+        """Why, and what would do."""
+        return cls(f"the goal is refused: {'; '.join(trust.reasons)} ({trust.note}); {otherwise}")
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """An imagined way to a goal: T steps of frames and joints, of which the one at `arrival_step` shows the goal."""
@@ -237,6 +278,8 @@ class Plan:
     """The joints as the network imagines them, before anything was corrected."""
     expected_joints: Float[np.ndarray, "M J"] | None = None
     """The joints that memory alone expects at gripper events and, last, at the goal, where it was asked."""
+    trust: Trust | None = None
+    """How far it is to be trusted; None where nobody asked."""
     legs: tuple["Plan", ...] = ()
     """The plans of which this is made, where it leads to several goals in a row."""
 

@@ -13,9 +13,10 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_policy_preimage import PreimageConfig, PreimagePolicy
 from lerobot_policy_preimage.modeling_preimage import options_of
+from preimage.ideas.trust import Assessment
 from preimage.network.inputs import home
 from preimage.presets import Planner, PlanOptions
-from preimage.records import Percept
+from preimage.records import Percept, Trust
 from preimage.storage.runs import find_run, load_model, read_shown
 
 CAMERA, GOAL = "observation.images.camera", "observation.images.goal"
@@ -81,6 +82,17 @@ def test_a_way_is_planned_once_and_played_to_its_end(observation, planned):
     torch.testing.assert_close(actions[:, -1], ways[:, -1])  # then it stays
     assert (actions[:, 0] - observation[OBS_STATE]).abs().max() < (actions[:, -1] - observation[OBS_STATE]).abs().max()
     assert not torch.allclose(actions[0, -1], actions[1, -1])  # two goals, two ends
+
+
+@pytest.mark.parametrize("anyway", [False, True])
+def test_the_arm_is_held_where_the_goal_is_refused(observation, monkeypatch, caplog, anyway):
+    refused = Trust(0.01, True, ("the goal is off what was demonstrated",), "calibrated by 60 goals")
+    monkeypatch.setattr(Assessment, "__call__", lambda self, plan: refused)
+    policy = PreimagePolicy(settings(anyway=anyway))
+    way = policy.predict_action_chunk(observation)
+    assert (way.shape[1] == 1) != anyway
+    assert torch.equal(way[:, -1], observation[OBS_STATE].float()) != anyway
+    assert ("the goal is refused: the goal is off what was demonstrated" in caplog.text) != anyway
 
 
 def test_it_plans_again_after_a_reset_and_for_another_goal(observation, planned, goals):

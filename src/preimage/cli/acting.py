@@ -15,7 +15,7 @@ from tyro.conf import Positional
 from preimage.cli.screen import following, remark, waiting
 from preimage.compute.choices import Device
 from preimage.presets import PlanOptions, Preset, load_planner
-from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Percept, Plan, Verdict, number_of
+from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, GoalRefused, Percept, Plan, Verdict, number_of
 from preimage.storage.bundled import BUNDLED
 from preimage.storage.output_folders import Kind, output_folder, validate_output_file, validate_output_folder
 
@@ -70,6 +70,7 @@ def plan_(
     joint_limits: Path | None = None,
     rate_hz: float | None = None,
     overwrite: bool = False,
+    anyway: bool = False,
     device: Device = "cpu",
     as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
     config: Annotated[PlanOptions, tyro.conf.arg(name="")] = PlanOptions.full(),  # noqa: B008, frozen
@@ -86,6 +87,7 @@ def plan_(
         joint_limits: JSON of what may be commanded, joint by joint: lower, upper, velocity or step; by default what was demonstrated.
         rate_hz: rows a second of the joints to command; by default as many as the recordings have.
         overwrite: replace the plan that is in `out`.
+        anyway: write the plan even where the goal is refused, because nothing like it was ever reached (`preimage calibrate`).
         device: what computes; of a small network the CPU has a plan before a GPU has made ready.
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
         config: how the plan is searched for.
@@ -122,6 +124,8 @@ def plan_(
     with waiting("planning" if len(goals) == 1 else f"planning to {len(goals)} goals in a row"):
         legs = planner.plan_in_turn(start=begin, goals=goals)
     found = join(legs)
+    if found.trust and found.trust.refused and not anyway:
+        raise GoalRefused.by(found.trust, "plan all the same with --anyway")
     rate_hz = rate_hz or max(one.rate_hz for one in shown)
     commands, limited = commands_of(found, limits, rate_hz=rate_hz)
     with output_folder(out, PLAN, overwrite=overwrite) as draft:
@@ -159,7 +163,8 @@ def sentences_of(legs: Sequence[Plan], found: Plan, out: Path) -> list[str]:
         lines.append(f"goal {number} of {len(legs)}: {verdict}, {leg.stopped.value}")
     at = f"at step {found.arrival_step} ({found.arrival_step / found.rate_hz:.1f} s)"
     lines.append(f"{verdict_on(found, at)}, planned in {found.seconds:.1f} s, in {out}")
-    return [*lines, f"stopped: {found.stopped.value}"]
+    lines.append(f"stopped: {found.stopped.value}")
+    return [*lines, *(line for line in (found.trust.sentence, found.trust.note) if line)] if found.trust else lines
 
 
 def verdict_on(plan: Plan, when: str) -> str:
@@ -174,12 +179,13 @@ def verdict_on(plan: Plan, when: str) -> str:
     return f"{words[plan.verdict]}, error {plan.error:.3f}{share}"
 
 
-def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None) -> None:
+def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None, anyway: bool = False) -> None:
     """Let the simulated arm execute a plan, and judge where it ends.
 
     Args:
         folder: what `preimage plan` wrote.
         film_: film to write, .mp4 or .gif, imagined beside executed.
+        anyway: execute even a plan to a goal that is refused.
     """
     from preimage.report import film
     from preimage.report.films import FILM_SUFFIXES
@@ -192,6 +198,8 @@ def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.a
     found, scene = load_plan(folder)
     if scene is None:
         raise ValueError(f"the plan in {folder} is for a goal without a scene, which nothing can judge: plan with --goal DATA:EPISODE")
+    if found.trust and found.trust.refused and not anyway:
+        raise GoalRefused.by(found.trust, "execute all the same with --anyway")
     trial = execute(found, Arm(), scene)
     if film_:
         film(found, trial, film_)

@@ -11,6 +11,7 @@ import tyro
 from tyro.conf import Positional
 
 from preimage.cli.screen import console, following, known_task, remark
+from preimage.cli.trusting import evaluate_trust
 from preimage.compute.choices import Device
 from preimage.evaluation.loops import Loop
 from preimage.presets import PlanOptions, Preset, load_planner
@@ -33,6 +34,7 @@ def evaluate_(
     goals: int = 100,
     seed: int = 5000,
     loop: Loop = "closed",
+    impossible: bool = False,
     device: Device = "auto",
     devices: int = 1,
     as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
@@ -53,6 +55,7 @@ def evaluate_(
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
         loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from the demonstration.
+        impossible: count instead which goals are refused, twelve impossible kinds among them, and what trust in the others is worth.
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share the goals.
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
@@ -78,6 +81,8 @@ def evaluate_(
     if data is not None:
         which = {"only": episodes, "without": without_episodes}
         return compare_with(data, run, out, films, config, device, devices, **which)
+    if impossible:
+        return evaluate_trust(run, out, task, goals, seed, device, config)
     group = join_processes(devices=devices, num_nodes=1, device=device)
     folder = find_run(run)
     planner, learned_from, made = load_planner(folder, config, device=group.device), read_shown(folder), made_from(folder)

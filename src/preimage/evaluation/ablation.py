@@ -95,7 +95,8 @@ def ablate(
     Raises:
         ValueError: the working folder holds a run of that name with other data or settings.
     """
-    for data, loop in dict.fromkeys((cell.data, loop) for cell in cells for loop in cell.loops):
+    tables: dict[tuple[str, Loop], None] = dict.fromkeys((cell.data, loop) for cell in cells for loop in cell.loops)
+    for data, loop in tables:
         alike = [cell for cell in cells if cell.data == data]
         file = out / f"ablation-{data}-{alike[0].size}-{loop}.json"
         table = read_json(file) if file.exists() else about_of(alike, loop, place)
@@ -126,7 +127,7 @@ def rows_of(
     arm, began, rows = Arm(), time.perf_counter(), list[dict[str, Any]]()
     goals = record(arm, cell.filmed, count=cell.goals or TEST_GOALS[cell.task], seed=TEST_SEED + cell.seed)
     for goal, demonstration in enumerate(goals):
-        found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, options.modalities))
+        found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner))
         trial = carry_out(planner, found, arm, cell.filmed, demonstration, loop)
         moved = {"success": trial.success, "deviation_cm": round(100 * trial.deviation_m, 3)}
         searched = {"error": found.error, "seconds": round(found.seconds, 3), "iterations": len(found.errors)}

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from preimage.records import Percept, Plan
+from preimage.records import Percept, Plan, Trust
 
 
 def plan_in_turn(plan: Callable[..., Plan], *, start: Percept | None = None, goals: Sequence[Percept]) -> list[Plan]:
@@ -55,5 +55,13 @@ def join(legs: Sequence[Plan]) -> Plan:
         intention=np.concatenate([leg.intention for leg in legs]),
         imagined_joints=None,
         expected_joints=None,
+        trust=least_of([leg.trust for leg in legs]),
         legs=tuple(legs),
     )
+
+
+def least_of(trusts: Sequence[Trust | None]) -> Trust | None:
+    """The least trust of several legs: a way leads no further than its worst part."""
+    known = [trust for trust in trusts if trust is not None]
+    worst = max(known, key=lambda trust: (trust.refused, -(trust.probability or 0.0), trust.strangeness), default=None)
+    return worst if len(known) == len(trusts) else None

@@ -1,4 +1,4 @@
-"""Charts of results: how the work grows, and where the intentions lie."""
+"""Charts of results: how the work grows, where the intentions lie, and what trust is worth."""
 
 import os
 from collections.abc import Mapping
@@ -61,4 +61,51 @@ def intention_map(recognition: Mapping[str, Any], path: str | os.PathLike[str]) 
             drawing.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False, labelcolor=INK)
         drawing.colorbar(dots, ax=axes, label="m")
         quiet(axes)
+    return save(drawing, path)
+
+
+RANKED_BY = {"trust": "#1f6fb2", "plan's error": "#b0562a", "nearest demonstration": "#6b7684"}
+"""What ranks plans, and its colour."""
+BINS = 10
+"""Bins of the reliability diagram, of equal width."""
+
+
+def trust_chart(result: Mapping[str, Any], path: str | os.PathLike[str]) -> Path:
+    """Writes a PNG of what trust is worth on goals that could be reached or just not: a reliability diagram, the ROC, and how many of the
+    goals that are accepted are reached where only the best ranked are, for trust, the plan's error, and the nearest demonstration.
+
+    Args:
+        result: what `preimage evaluate --impossible` writes.
+    """
+    rows = [row for row in result["rows"] if row["kind"] in ("area", "rim")]
+    reached = np.array([row["reached"] for row in rows])
+    drawing = sheet(3.4, layout="constrained")
+    diagram, roc, accepted = (drawing.add_subplot(1, 3, column) for column in (1, 2, 3))
+    probable = np.array([row["trust"] for row in rows])
+    bins = np.minimum((probable * BINS).astype(int), BINS - 1)
+    for number in np.unique(bins):
+        chosen = bins == number
+        size = 18 + 4 * chosen.sum()
+        diagram.scatter(probable[chosen].mean(), reached[chosen].mean(), s=size, color=RANKED_BY["trust"], alpha=0.7)
+    for name, colour in RANKED_BY.items():
+        ordered = reached[np.argsort([-row[name] for row in rows], kind="stable")]
+        hits, misses = (np.concatenate([[0], np.cumsum(each) / max(1, each.sum())]) for each in (ordered, ~ordered))
+        roc.plot(misses, hits, color=colour, linewidth=1.6, label=f"{name}: {result['roc_area'][name]:.2f}")
+        shares = np.arange(1, len(ordered) + 1) / len(ordered)
+        accepted.plot(shares, np.cumsum(ordered) / np.arange(1, len(ordered) + 1), color=colour, linewidth=1.6, label=name)
+    for axes in (diagram, roc):
+        axes.plot([0, 1], [0, 1], color=MUTED, linewidth=0.8, linestyle=":")
+    words = (
+        (diagram, f"reliability (ECE {result['calibration_error']:.3f})", "probability of success, as said", "share reached"),
+        (roc, "ROC", "share of failures accepted", "share of successes accepted"),
+        (accepted, "success among accepted", "share of goals accepted", "share reached"),
+    )
+    for axes, title, across, up in words:
+        axes.set_title(title, fontsize=10, loc="left", color=INK)
+        axes.set_xlabel(across, fontsize=9)
+        axes.set_ylabel(up, fontsize=9)
+        axes.set_xlim(-0.03, 1.03)
+        axes.set_ylim(-0.03, 1.03)
+        quiet(axes)
+    roc.legend(fontsize=7, loc="lower right", frameon=False, title="area under it", title_fontsize=7)
     return save(drawing, path)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from preimage.report.charts import growth_chart, intention_map
+from preimage.report.charts import growth_chart, intention_map, trust_chart
 from preimage.report.result_files import Results, is_evaluation, read_results
 from preimage.storage.atomic_write import atomic_write
 
@@ -34,6 +34,7 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
         recognition_table(found),
     ]
     parts += [pictures(found, figures, "map", intention_map, INTENTIONS), modalities_table(found)]
+    parts += [trust_table(found), refusals_table(found), pictures(found, figures, "roc_area", trust_chart, TRUST)]
     parts += [held_out_table(found), speed_table(found)]
     parts += [pictures(found, figures, "growth", lambda one, to: growth_chart(one["growth"], to), GROWTH), cells_table(evaluations)]
     with atomic_write(path) as unfinished:
@@ -173,6 +174,39 @@ stars novel ones.
 GROWTH = """How the work grows on {device}, {threads} threads:
 
 ![growth]({picture})"""
+
+
+TRUST = """What trust in plans of the model {model} is worth, on goals of which {success[area][goals]} were drawn as the demonstrations were
+and {success[rim][goals]} lie on the rim, up to 10 cm beyond (test seed {seed}; calibrated by {num_calibrated_by} other goals):
+
+![trust]({picture})"""
+RANKS = ("trust", "plan's error", "nearest demonstration")
+
+
+def trust_table(found: Results) -> str:
+    """How well plans know whether they succeed (`preimage evaluate --impossible`)."""
+    rows = []
+    for one in found:
+        if one.get("kind") == "trust":
+            reached = [counted(one["success"][kind]) for kind in ("area", "rim")]
+            areas = [f"{one['roc_area'][name]:.3f} ({'–'.join(f'{end:.2f}' for end in one['roc_area_interval'][name])})" for name in RANKS]
+            refused = [of_refused(one[name]) for name in ("falsely_refused", "refused_on_rim")]
+            rows.append([one["model"], f"{one['seed']}", *reached, *areas, f"{one['calibration_error']:.3f}", *refused])
+    head = ["model", "test seed", "reached, demonstrated area", "reached, rim", *(f"area under the ROC, {name}" for name in RANKS)]
+    return table("Trust", [*head, "calibration error (ECE)", "refused, demonstrated area", "refused, rim"], rows)
+
+
+def refusals_table(found: Results) -> str:
+    """How many impossible goals of each kind are refused."""
+    tried = [one for one in found if one.get("kind") == "trust"]
+    kinds = list(dict.fromkeys(kind for one in tried for kind in one["refused"]))
+    rows = [[kind, *(of_refused(one["refused"][kind]) if kind in one["refused"] else "" for one in tried)] for kind in kinds]
+    return table("Impossible goals refused", ["kind", *(one["model"] for one in tried)], rows)
+
+
+def of_refused(one: Mapping[str, Any]) -> str:
+    low, high = one["interval"]
+    return f"{one['refused']}/{one['goals']} ({100 * low:.0f}–{100 * high:.0f} %)"
 
 
 def modalities_table(found: Results) -> str:

@@ -31,8 +31,10 @@ PREFIX = "hf:"
 NEEDED = ("config.json", "model.safetensors", "shown.npz")
 MEMORY = "memory.safetensors"
 """Of the demonstrations; a run that was trained by the paper alone has none."""
+CALIBRATION = "calibration.json"
+"""Of trust in its plans; a run that nobody calibrated has none."""
 CARD = "README.md"
-KEPT_THERE = (*NEEDED, MEMORY, CARD)
+KEPT_THERE = (*NEEDED, MEMORY, CALIBRATION, CARD)
 """All that is sent and fetched."""
 BROKEN_OFF = HTTPError, ConnectionError
 """What a broken connection raises; the first is that of the HTTP library beneath, which is another one from version to version."""
@@ -100,7 +102,7 @@ def upload(folder: Path, repository: str, *, license: str | None, private: bool)
         raise ValueError(f"{folder} has no {', no '.join(missing)}: train it to its first checkpoint before it is sent")
     with tempfile.TemporaryDirectory(prefix="preimage-") as scratch:
         draft = Path(scratch)
-        for each in (*NEEDED, *([MEMORY] if (folder / MEMORY).is_file() else [])):
+        for each in (*NEEDED, *(each for each in (MEMORY, CALIBRATION) if (folder / each).is_file())):
             shutil.copy(folder / each, draft)
         (draft / CARD).write_text(card_there((folder / CARD).read_text(), name, license))
         try:

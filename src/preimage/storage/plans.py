@@ -20,10 +20,10 @@ import numpy as np
 from jaxtyping import Float
 
 from preimage.data.lerobot_writer import write_files
-from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Body, Demonstration, Percept, Plan, Scene, Stopped, scene_of
+from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Body, Demonstration, Percept, Plan, Scene, Stopped, Trust, scene_of
 from preimage.storage.atomic_write import atomic_write, write_json
 from preimage.storage.output_folders import Kind, is_regular_file, output_folder
-from preimage.storage.reading import read_arrays, read_json
+from preimage.storage.reading import read_arrays, read_json, record_of
 
 ARRAYS = ("frames", "joints", "errors", "intention")
 NUMBERS = ("arrival_step", "rate_hz", "error", "seconds")
@@ -82,6 +82,7 @@ def save_plan(
                 rows.writerow([round(step / (rate_hz or plan.rate_hz), 6), *(round(float(angle), 6) for angle in joints)])
         facts = {name: getattr(plan, name) for name in (*NUMBERS, "unexplained")}
         facts |= {"joint_names": plan.joint_names, "stopped": plan.stopped.name, "scene": asdict(scene) if scene else None}
+        facts |= {"trust": asdict(plan.trust)} if plan.trust else {}
         about.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
 
 
@@ -143,6 +144,7 @@ def load_plan(folder: Path | str) -> tuple[Plan, Scene | None]:
         validate_facts(about)
         validate_arrays(parts, about)
         scene = scene_of(about["scene"])
+        trust = None if about.get("trust") is None else record_of(Trust, about["trust"])
     except ValueError as error:
         raise ValueError(f"the plan in {folder} cannot be read ({error}): plan again") from error
     plan = Plan(
@@ -154,6 +156,7 @@ def load_plan(folder: Path | str) -> tuple[Plan, Scene | None]:
         joint_names=tuple(about["joint_names"]),
         stopped=Stopped[about["stopped"]],
         unexplained=about.get("unexplained"),
+        trust=trust,
         **{name: about[name] for name in NUMBERS},
     )
     return plan, scene

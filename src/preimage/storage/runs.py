@@ -5,6 +5,7 @@
     resume.pt            weights, optimiser and update number, to continue a training
     log.jsonl            one line an update
     shown.npz            what is kept of the demonstrations: joints and last frames, for the baseline that replays one of them
+    calibration.json     what trust in its plans is calibrated by, where it is (`preimage calibrate`)
     README.md            the model card
 
 Files are written beside their place and then moved into it, so that a killed process or a full disk leaves the former file as it was.

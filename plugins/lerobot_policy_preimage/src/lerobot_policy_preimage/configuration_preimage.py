@@ -32,6 +32,8 @@ class PreimageConfig(PreTrainedConfig):
     """Training intentions from which a plan in doubt is searched for once more; by default those of the preset."""
     precision: str = "auto"
     """bfloat16, float32, or auto: bfloat16 where the device computes it natively, float32 elsewhere."""
+    anyway: bool = False
+    """Whether to move to a goal that is refused; otherwise the arm holds its joints, and the log says why."""
     save_predicted_video: bool = False
     """Whether `lerobot-eval` writes what was imagined."""
 

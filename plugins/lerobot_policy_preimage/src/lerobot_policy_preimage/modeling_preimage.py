@@ -1,5 +1,6 @@
 """The policy: at the first observation it imagines the way to the goal, then it plays that way, one action a call."""
 
+import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +15,7 @@ from preimage.data.angles import unwrapped
 from preimage.data.sources import find_percept
 from preimage.data.view import look, unwraps
 from preimage.presets import PlanOptions, load_planner
-from preimage.records import Percept
+from preimage.records import GoalRefused, Percept
 from preimage.robot.limits import commands_of, limits_seen
 from preimage.storage.runs import find_run, read_body, read_shown, read_view
 
@@ -107,6 +108,9 @@ class PreimagePolicy(PreTrainedPolicy):
         start = Percept(self.frame_of(batch, self.camera_in(batch), row), joints)
         with torch.inference_mode(False), torch.enable_grad():  # LeRobot calls in inference mode, in which nothing can be regressed
             found = self.planner.plan(start=start, goal=Percept(frame=goal))
+        if found.trust and found.trust.refused and not self.config.anyway:
+            logging.warning("%s", GoalRefused.by(found.trust, "the arm is held; --policy.anyway moves it all the same"))
+            return Playing(goal, state[None], found.start.frame[None])
         commands, _ = commands_of(found, self.limits)
         last = len(commands) - 1
         calls = np.arange(1, int(np.ceil(last * self.config.fps / found.rate_hz)) + 1)
