@@ -13,8 +13,8 @@ from tyro.conf import Positional
 
 from preimage.cli.screen import bar, console, known_task, remark
 from preimage.compute.choices import Device
-from preimage.evaluation.loops import Loop
-from preimage.presets import PlanOptions, Preset, load_planner
+from preimage.evaluation.loops import Disturbed, Loop
+from preimage.presets import PlanOptions, Preset, ReplanConfig, load_planner
 from preimage.storage.atomic_write import write_json
 from preimage.storage.output_folders import validate_output_file
 
@@ -34,8 +34,11 @@ def evaluate_(
     goals: int = 100,
     seed: int = 5000,
     loop: Loop = "closed",
+    disturb: Disturbed | Literal["all"] | None = None,
+    baselines: bool = True,
     device: Device = "auto",
     devices: int = 1,
+    replan: Annotated[ReplanConfig, tyro.conf.arg(name="")] = ReplanConfig(),  # noqa: B008, frozen
     as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
     config: Annotated[PlanOptions, tyro.conf.arg(name="")] = PlanOptions.full(),  # noqa: B008, frozen
 ) -> None:
@@ -53,9 +56,14 @@ def evaluate_(
         task: name of the task.
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
-        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from the demonstration.
+        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; replan plans the rest of the way
+            anew at every step; recorded predicts from the demonstration.
+        disturb: what goes wrong on the way: the hand is pushed, an encoder is off (bias), the goal or the object is elsewhere, frames
+            are missing (camera) or late; all is each of them, and nothing, in each of the loops, from the same plans.
+        baselines: whether to execute what luck and memory would give as well.
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share the goals.
+        replan: how --loop replan goes about it.
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
         config: how the plans are searched for.
     """
@@ -86,11 +94,15 @@ def evaluate_(
     pixels = planner.model.sensors.height
     filmed = with_frames(TASKS[task], pixels)
     about |= {"seed": seed, "loop": loop, "pixels": pixels, "paper": paper_of(task, made["num_demonstrations"], loop)}
+    if disturb or loop == "replan":
+        about |= {"disturb": disturb, "replan": asdict(replan)}
     about |= {"plan": asdict(planner.options), "provenance": provenance(group.device)}
     mine = len(group.share(goals))
     remark(describe_precision(config.precision, group.device))
     if group.size == 1:
         remark(choose_threads())
+    if disturb == "all":
+        return side_by_side(planner, filmed, about, out, goals=goals, seed=seed, replan=replan)
     with bar(shown=group.first) as progress:
         shown = progress.add_task("evaluating", total=mine)
         reached: list[bool] = []
@@ -102,7 +114,8 @@ def evaluate_(
             if group.first and not console.is_terminal and len(reached) % 10 == 0:
                 print(f"{so_far}, {mine - len(reached)} goals left", file=sys.stderr, flush=True)
 
-        evaluated = evaluate(planner, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, loop=loop, progress=tell, group=group)
+        how = {"loop": loop, "disturb": disturb, "replan": replan, "with_baselines": baselines}
+        evaluated = evaluate(planner, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, **how, progress=tell, group=group)
     if not group.first:
         return
     result = result_of(evaluated, about)
@@ -110,6 +123,21 @@ def evaluate_(
     print(summary("preimage", result))
     for name, baseline in result["baselines"].items():
         print(summary(name, baseline))
+
+
+def side_by_side(planner: Any, task: Any, about: dict[str, Any], out: Path, **how: Any) -> None:
+    """The part of `evaluate` that lets everything go wrong in every loop."""
+    from preimage.evaluation.disturbed import cells_of, try_all
+    from preimage.robot import Arm
+
+    with bar() as progress:
+        shown = progress.add_task("evaluating", total=how["goals"])
+        tried = try_all(planner, Arm(), task, **how, progress=lambda: progress.advance(shown))
+    result = {name: value for name, value in about.items() if name not in ("loop", "paper")} | {"cells": cells_of(tried)}
+    write_json(out, result)
+    for cell in result["cells"]:
+        name = f"{cell['loop']} {cell['disturb'] or 'nothing'}"
+        print(summary(name if cell["window"] is None else f"{name} {cell['window']}", cell))
 
 
 def compare_with(

@@ -1,6 +1,7 @@
 """How a loop that plans anew while the robot moves goes about it: its numbers, without torch, so that the command line can name them."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from preimage.network.ranges import validate
 
@@ -13,8 +14,8 @@ class ReplanConfig:
         ValueError: a number is out of range.
     """
 
-    window: int | None = 5
-    """Steps of what was sensed that are explained, the last ones; None: all since the start."""
+    window: int | Literal["all"] = 5
+    """Steps of what was sensed that are explained, the last ones, or all since the start."""
     budget_ms: float = 150.0
     """Time for a step's thinking (ms); when it is up the best so far is commanded."""
     rounds: int = 3
@@ -29,5 +30,7 @@ class ReplanConfig:
     """Times that the robot, arrived and at rest, looks how far from the goal's picture it stands, and makes up for it."""
 
     def __post_init__(self) -> None:
-        at_least = {"window": 1, "budget_ms": 0, "rounds": 0, "patience": 1, "looks": 0, "enough": 0}
-        validate(self, at_least=at_least, held=("window",), above_zero=("disbelief",))
+        if self.window != "all" and not (isinstance(self.window, int) and self.window >= 1):
+            raise ValueError(f"window (--window) is {self.window}: give 1 or more steps, or all")
+        at_least = {"budget_ms": 0, "rounds": 0, "patience": 1, "looks": 0, "enough": 0}
+        validate(self, at_least=at_least, above_zero=("disbelief",))

@@ -224,7 +224,7 @@ class Replanner:
 
     def _see_what_moved(self) -> bool:
         """Whether a thing is seen elsewhere than imagined, twice alike; then it is taken to have stood there at the start."""
-        frames = [each for each in self._sensed if each.seen][-min(MOST_PERSISTENT, self.settings.window or MOST_PERSISTENT) :]
+        frames = [each for each in self._sensed[-min(MOST_PERSISTENT, self._num_looked_at) :] if each.seen]
         if self._scene is None or not frames or self._has_arrived or self._is_gripping or self._clock.room < 1:
             return False
         problem, points = self._problem, self._solution.points
@@ -311,7 +311,7 @@ class Replanner:
 
     def _window(self) -> Window | None:
         """The last percepts that were sensed on the way."""
-        part = self._sensed if self.settings.window is None else self._sensed[-self.settings.window :]
+        part = self._sensed[-self._num_looked_at :]
         return Window.of(part) if part else None
 
     def _imagined_joints(self) -> Float[np.ndarray, "T J"]:
@@ -321,6 +321,10 @@ class Replanner:
     @property
     def _ranges(self) -> Float[np.ndarray, " J"]:
         return np.array(self._model.sensors.joint_upper) - np.array(self._model.sensors.joint_lower)
+
+    @property
+    def _num_looked_at(self) -> int:
+        return max(1, len(self._sensed)) if self.settings.window == "all" else self.settings.window
 
     @property
     def _enough(self) -> float:

@@ -8,9 +8,8 @@ camera   one frame in five does not come
 late     frames come 200 ms late
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -20,8 +19,7 @@ from preimage.robot.arm import OBJECT, Arm
 from preimage.robot.execution import Stage
 from preimage.robot.kinematics import ACTIVE_JOINTS, BASE_M, forward_kinematics
 
-Disturbed = Literal["push", "bias", "goal", "object", "camera", "late"]
-DISTURBANCES: tuple[str, ...] = get_args(Disturbed)
+DISTURBANCES = ("push", "bias", "goal", "object", "camera", "late")
 
 PUSH_M, PUSH_S = 0.1, 0.2
 """How far the hand is pushed (m), and how long that takes (s)."""
@@ -63,13 +61,14 @@ class Disturbance:
     """How old a frame is when it comes (s)."""
 
 
-def disturbance_of(kind: Disturbed, scene: Scene, *, half: int, grasp: int, seed: int) -> Disturbance:
+def disturbance_of(kind: str, scene: Scene, *, half: int, grasp: int, seed: Sequence[int], other: Scene | None = None) -> Disturbance:
     """A disturbance of a trial in a scene.
 
     Args:
         half: the step at which half of the way is behind the arm.
         grasp: the step at which half of the way to the grasp is, for `object`.
         seed: draws sides, joints and frames.
+        other: the scene whose goal is wanted from half way on, for `goal`.
 
     Raises:
         ValueError: there is no such disturbance, or nothing of the kind can happen in this scene.
@@ -93,9 +92,10 @@ def disturbance_of(kind: Disturbed, scene: Scene, *, half: int, grasp: int, seed
     if kind == "late":
         return Disturbance(frames_late_s=LATE_S)
     if kind == "goal":
-        if "goal" not in scene.positions_m:
+        if set(scene.positions_m) != {"goal"}:
             raise ValueError(f"--disturb goal asks for another place to reach, and {scene.task} has none: take reach")
-        return Disturbance()
+        assert other is not None
+        return Disturbance(happens=goal_changed(step=half, to_m=other.positions_m["goal"]))
     raise ValueError(f"--disturb is {kind}: give {', '.join(DISTURBANCES)}")
 
 
@@ -122,5 +122,15 @@ def object_moved(*, step: int, by_m: Float[np.ndarray, " 2"]) -> Callable[[Arm, 
             x, y, z = stage.scene.positions_m[OBJECT]
             moved = {**stage.scene.positions_m, OBJECT: (x + float(by_m[0]), y + float(by_m[1]), z)}
             stage.scene = replace(stage.scene, positions_m=moved)
+
+    return happens
+
+
+def goal_changed(*, step: int, to_m: Sequence[float]) -> Callable[[Arm, Stage, int], None]:
+    """From a step on the judge judges by another goal."""
+
+    def happens(arm: Arm, stage: Stage, now: int) -> None:
+        if now == step:
+            stage.scene = replace(stage.scene, positions_m={**stage.scene.positions_m, "goal": tuple(to_m)})
 
     return happens
