@@ -58,9 +58,10 @@ def try_all(
     recorded, tried = record(arm, task, count=goals, seed=seed), {cell: [] for cell in cells_for(task, replan)}
     for goal, demonstration in enumerate(recorded):
         found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner.options.modalities))
+        assert demonstration.scene is not None
         for cell, evaluated in tried.items():
             circumstances = Circumstances(cell.disturb, recorded[(goal + 1) % goals], (seed, goal), cell.settings)
-            trial, driven = try_out(planner, found, arm, task, demonstration, cell.loop, circumstances)
+            trial, driven = try_out(planner, found, arm, task, demonstration.scene, cell.loop, circumstances)
             beliefs = tuple(driven.decisions) if cell.loop == "replan" else ()
             evaluated.append(Evaluated(demonstration, found, trial, {}, beliefs))
         progress()

@@ -124,8 +124,9 @@ def evaluate(
         found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner.options.modalities))
         beliefs = ()
         if disturb or loop == "replan":
+            assert demonstration.scene is not None
             circumstances = Circumstances(disturb, recorded[(goal + 1) % goals], (seed, goal), replan)
-            trial, driven = try_out(planner, found, arm, task, demonstration, loop, circumstances)
+            trial, driven = try_out(planner, found, arm, task, demonstration.scene, loop, circumstances)
             beliefs = tuple(driven.decisions) if loop == "replan" else ()
         else:
             trial = carry_out(planner, found, arm, task, demonstration, loop)
