@@ -169,7 +169,8 @@ class Replanner:
     def _begin(self, start: Percept) -> None:
         """The first plan to the next goal, from where the robot stands."""
         goal = self._goals.pop(0)
-        plan = self._found or self._plan(start=start, goal=goal)
+        with torch.enable_grad():  # which the search by Adam needs
+            plan = self._found or self._plan(start=start, goal=goal)
         self._found, self._held = None, self._refuse(plan)
         self._set_up(problem_of(self._model, start, goal, self._config))
         points = coordinates_of(plan.intention, self._problem.space, self._model)

@@ -126,6 +126,7 @@ def by_adam(problem: Problem, objective: Objective, here: Solution, clock: Clock
     """An iteration of the paper's search, for intentions of many numbers."""
     if clock.room < DESCENT_COST:
         return here
-    found = descend(problem, objective, here.points, 1)
+    with torch.enable_grad():
+        found = descend(problem, objective, here.points, 1)
     there = Solution(found.points, clock.imagine(problem, found.points))
     return there if bool(objective.errors(there.generated)[0] < objective.errors(here.generated)[0]) else None
