@@ -30,8 +30,9 @@ class Cell:
 
 def cells_for(task: Task, settings: ReplanConfig) -> list[Cell]:
     """What can be tried with a task: there may be no object to be moved, or no goal apart from the scene."""
-    kinds = [kind for kind in (None, *get_args(Disturbed)) if kind != ("goal" if task.name != "reach" else "object")]
-    kinds = [kind for kind in kinds if kind != "object" or task.workspace.has_object]
+    cannot_be = {"goal"} if task.name != "reach" else set()
+    cannot_be |= set() if task.workspace.has_object else {"object"}
+    kinds: list[Disturbed | None] = [None, *(kind for kind in get_args(Disturbed) if kind not in cannot_be)]
     cells = [Cell(loop, kind, settings if loop == "replan" else None) for kind in kinds for loop in ("closed", "open", "replan")]
     others = [window for window in WINDOWS if window != settings.window]
     return cells + [Cell("replan", kind, replace(settings, window=window)) for kind in kinds if kind in SWEPT for window in others]

@@ -136,7 +136,7 @@ class Replanner:
         self._goals, self._found = list(goals), found
         self._step, self._held, self._num_doubts = -1, None, 0
         self._next_goal: Percept | None = None
-        self._problem: Problem | None = None
+        self._has_begun = False
 
     def change_goal(self, goal: Percept) -> None:
         """Another goal is wanted in place of the one that the robot is on its way to; it need not stop for that."""
@@ -151,7 +151,7 @@ class Replanner:
         """
         self._clock.begin()
         self._step += 1
-        if self._problem is None:
+        if not self._has_begun:
             self._begin(percept)
         else:
             self._remember(percept)
@@ -181,11 +181,13 @@ class Replanner:
         self._way = Way(plan.joints, plan.joints - imagined, plan.arrival_step, plan.error, plan.unexplained or 0.0)
         self._content = plan.error + self._enough
         assert start.joints is not None
+        self._has_begun = True
         self._last_frame, self._joints, self._was, self._at = start.frame, start.joints, start.joints, 0
 
     def _set_up(self, problem: Problem) -> None:
         """Another problem, on the way of which nothing was sensed yet."""
-        self._problem, self._to_goal = problem, to_goal(problem, self._ideas)
+        self._problem: Problem = problem
+        self._to_goal = to_goal(problem, self._ideas)
         self._improver: Improve = ByGaussNewton() if problem.space.training.shape[1] <= FEW else by_adam
         self._sensed: list[Sensed] = []
         self._num_doubts, self._num_waited = 0, 0

@@ -79,7 +79,7 @@ def disturbance_of(kind: str, scene: Scene, *, half: int, grasp: int, seed: Sequ
     if kind == "bias":
         offset = np.zeros(len(scene.start_joints))
         offset[rng.integers(len(ACTIVE_JOINTS))] = BIAS_RAD * rng.choice((-1, 1))
-        return Disturbance(lambda joints: joints - offset, lambda percept, step: replace(percept, joints=percept.joints + offset))
+        return Disturbance(lambda joints: joints - offset, biased(offset))
     if kind == "object":
         if OBJECT not in scene.positions_m:
             raise ValueError(f"--disturb object moves an object, and {scene.task} has none: take move-object")
@@ -97,6 +97,15 @@ def disturbance_of(kind: str, scene: Scene, *, half: int, grasp: int, seed: Sequ
         assert other is not None
         return Disturbance(happens=goal_changed(step=half, to_m=other.positions_m["goal"]))
     raise ValueError(f"--disturb is {kind}: give {', '.join(DISTURBANCES)}")
+
+
+def biased(offset: Float[np.ndarray, " J"]) -> Callable[[Percept, int], Percept]:
+    """Joints read so much too far."""
+
+    def sensed(percept: Percept, step: int) -> Percept:
+        return replace(percept, joints=None if percept.joints is None else percept.joints + offset)
+
+    return sensed
 
 
 def pushed(*, step: int, side: int) -> Callable[[Arm, Stage, int], None]:
