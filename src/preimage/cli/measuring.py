@@ -82,6 +82,8 @@ def evaluate_(
     if not 0 <= seed < 2**63:
         raise ValueError(f"--seed is {seed}: give a whole number from 0 to {2**63 - 1}")
     validate_output_file(out, **EVALUATION)
+    if disturb is not None:
+        validate_disturbance(disturb, task, loop)
     if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     if data is not None:
@@ -101,6 +103,8 @@ def evaluate_(
     remark(describe_precision(config.precision, group.device))
     if group.size == 1:
         remark(choose_threads())
+    if disturb == "all" and group.size > 1:
+        raise ValueError(f"--disturb all is one process's work: give --devices 1, not {devices}")
     if disturb == "all":
         return side_by_side(planner, filmed, about, out, goals=goals, seed=seed, replan=replan)
     with bar(shown=group.first) as progress:
@@ -123,6 +127,20 @@ def evaluate_(
     print(summary("preimage", result))
     for name, baseline in result["baselines"].items():
         print(summary(name, baseline))
+
+
+def validate_disturbance(disturb: str, task: str, loop: Loop) -> None:
+    """Raises ValueError where nothing of the kind can happen in a task or a loop."""
+    import numpy as np
+
+    from preimage.robot import TASKS
+    from preimage.robot.disturbances import disturbance_of
+
+    if loop == "recorded":
+        raise ValueError("--loop recorded plays what was recorded, where nothing can go wrong: give closed, open or replan")
+    if disturb != "all":
+        scene = TASKS[task].sample(np.random.default_rng(0))
+        disturbance_of(disturb, scene, half=1, grasp=1, seed=(0,), other=scene)
 
 
 def side_by_side(planner: Any, task: Any, about: dict[str, Any], out: Path, **how: Any) -> None:
