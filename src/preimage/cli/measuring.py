@@ -144,16 +144,20 @@ def validate_disturbance(disturb: str, task: str, loop: Loop) -> None:
 
 
 def side_by_side(planner: Any, task: Any, about: dict[str, Any], out: Path, **how: Any) -> None:
-    """The part of `evaluate` that lets everything go wrong in every loop."""
+    """The part of `evaluate` that lets everything go wrong in every loop; the counts so far are written after each goal."""
     from preimage.evaluation.disturbed import cells_of, try_all
     from preimage.robot import Arm
 
+    about = {name: value for name, value in about.items() if name not in ("loop", "paper")}
     with bar() as progress:
         shown = progress.add_task("evaluating", total=how["goals"])
-        tried = try_all(planner, Arm(), task, **how, progress=lambda: progress.advance(shown))
-    result = {name: value for name, value in about.items() if name not in ("loop", "paper")} | {"cells": cells_of(tried)}
-    write_json(out, result)
-    for cell in result["cells"]:
+
+        def tell(tried: Any) -> None:
+            write_json(out, about | {"cells": cells_of(tried)})
+            progress.advance(shown)
+
+        tried = try_all(planner, Arm(), task, **how, progress=tell)
+    for cell in cells_of(tried):
         name = f"{cell['loop']} {cell['disturb'] or 'nothing'}"
         print(summary(name if cell["window"] is None else f"{name} {cell['window']}", cell))
 

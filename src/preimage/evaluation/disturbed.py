@@ -3,7 +3,7 @@
 Loops that plan anew are tried with windows of several lengths, as EFE-GLean shows it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, get_args
 
@@ -46,7 +46,7 @@ def try_all(
     goals: int,
     seed: int,
     replan: ReplanConfig,
-    progress: Callable[[], None] = lambda: None,
+    progress: Callable[[Mapping[Cell, Sequence[Evaluated]]], None] = lambda tried: None,
 ) -> dict[Cell, list[Evaluated]]:
     """Plan once to each goal, and carry the plan out in every cell.
 
@@ -54,7 +54,7 @@ def try_all(
         goals: how many.
         seed: draws the goals, and what goes wrong.
         replan: how loops that plan anew go about it, but for the window.
-        progress: called after each goal.
+        progress: called after each goal with what was tried so far.
     """
     recorded, tried = record(arm, task, count=goals, seed=seed), {cell: [] for cell in cells_for(task, replan)}
     for goal, demonstration in enumerate(recorded):
@@ -65,11 +65,11 @@ def try_all(
             trial, driven = try_out(planner, found, arm, task, demonstration.scene, cell.loop, circumstances)
             beliefs = tuple(driven.decisions) if cell.loop == "replan" else ()
             evaluated.append(Evaluated(demonstration, found, trial, {}, beliefs))
-        progress()
+        progress(tried)
     return tried
 
 
-def cells_of(tried: dict[Cell, list[Evaluated]]) -> list[dict[str, Any]]:
+def cells_of(tried: Mapping[Cell, Sequence[Evaluated]]) -> list[dict[str, Any]]:
     """The counts and rows of each cell, ready to be written as JSON."""
     return [cell_of(cell, evaluated) for cell, evaluated in tried.items()]
 
