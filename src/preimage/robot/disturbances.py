@@ -1,6 +1,6 @@
 """What goes wrong while a plan is carried out, each drawn from a seed, so that every loop meets the same.
 
-push     the hand is pushed 10 cm aside half way, within 0.2 s
+push     the hand is pushed 10 cm aside half way within 0.2 s, and held there for as long
 bias     the encoder of one joint reads 0.05 rad too much or too little, and the motor believes it
 goal     half way another goal is wanted: the loop is told, and the judge judges by it
 object   the object is moved by 5 cm half way to the grasp
@@ -117,7 +117,8 @@ def pushed(*, step: int, side: int) -> Callable[[Arm, Stage, int], None]:
         joints = stage.true_joints.copy()
         radius_m = float(np.linalg.norm((forward_kinematics(joints[: len(ACTIVE_JOINTS)]) - BASE_M)[:2]))
         joints[0] += side * 2 * np.arcsin(min(1.0, PUSH_M / 2 / radius_m))
-        stage.disturb(lambda: arm.move(np.clip(joints, *arm.joint_limits.T), PUSH_S))
+        allowed = np.clip(joints, *arm.joint_limits.T)
+        stage.disturb(lambda: [arm.move(allowed, PUSH_S) for _ in range(2)])  # there, and held there, for a motor lags behind
 
     return happens
 

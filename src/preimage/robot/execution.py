@@ -154,7 +154,7 @@ class Stage:
         assert joints is not None
         return joints
 
-    def disturb(self, happens: Callable[[], None]) -> None:
+    def disturb(self, happens: Callable[[], object]) -> None:
         """Let something happen to arm or scene; what is sensed now is what is sensed after it."""
         happens()
         self._percepts[-1] = self._arm.sense()
