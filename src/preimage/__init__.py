@@ -13,6 +13,7 @@ if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it to
     from preimage.data.dataset import load
     from preimage.evaluation.evaluate import Evaluated, evaluate, result_of, wilson_interval
     from preimage.ideas.memory import DemonstrationMemory
+    from preimage.ideas.replanning import Belief, Replanner
     from preimage.ideas.waypoints import join
     from preimage.method.config import PlanConfig, TrainConfig
     from preimage.method.learner import NonFinite
@@ -22,11 +23,13 @@ if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it to
     from preimage.network.config import ModelConfig, Sensors
     from preimage.network.intention import IntentionState
     from preimage.network.pdvmrnn import PDVMRNN
-    from preimage.presets import Planner, PlanOptions, TrainOptions, load_memory, load_planner, remember, train
+    from preimage.presets import Planner, PlanOptions, ReplanConfig, TrainOptions, load_memory, load_planner, remember, train
     from preimage.records import Demonstration, GoalRefused, Percept, Plan, Scene, Shown, Stopped, Trial, Trust
     from preimage.report import figure, film
     from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
     from preimage.robot.execution import execute, execute_open_loop
+    from preimage.robot.protocol import Robot, drive
+    from preimage.robot.simulated import SimulatedRobot
     from preimage.storage.plans import load_plan, save_episode, save_plan
     from preimage.storage.recordings import save
     from preimage.storage.runs import from_pretrained, load_model, push_to_hub, read_shown
@@ -37,6 +40,7 @@ __all__ = [
     "PDVMRNN",
     "TASKS",
     "Arm",
+    "Belief",
     "Demonstration",
     "DemonstrationMemory",
     "Evaluated",
@@ -53,14 +57,19 @@ __all__ = [
     "Planner",
     "Reach",
     "ReachTwo",
+    "ReplanConfig",
+    "Replanner",
+    "Robot",
     "Scene",
     "Sensors",
     "Shown",
+    "SimulatedRobot",
     "Stopped",
     "TrainConfig",
     "TrainOptions",
     "Trial",
     "Trust",
+    "drive",
     "evaluate",
     "execute",
     "execute_open_loop",
@@ -92,6 +101,7 @@ ROOMS = {
     "data.dataset": ("load",),
     "evaluation.evaluate": ("Evaluated", "evaluate", "result_of", "wilson_interval"),
     "ideas.memory": ("DemonstrationMemory",),
+    "ideas.replanning": ("Belief", "Replanner"),
     "ideas.waypoints": ("join",),
     "method.config": ("PlanConfig", "TrainConfig"),
     "method.one_step": ("follow",),
@@ -101,11 +111,13 @@ ROOMS = {
     "network.config": ("ModelConfig", "Sensors"),
     "network.intention": ("IntentionState",),
     "network.pdvmrnn": ("PDVMRNN",),
-    "presets": ("Planner", "PlanOptions", "TrainOptions", "load_memory", "load_planner", "remember", "train"),
+    "presets": ("Planner", "PlanOptions", "ReplanConfig", "TrainOptions", "load_memory", "load_planner", "remember", "train"),
     "records": ("Demonstration", "GoalRefused", "Percept", "Plan", "Scene", "Shown", "Stopped", "Trial", "Trust"),
     "report": ("figure", "film"),
     "robot": ("TASKS", "Arm", "MoveObject", "Reach", "ReachTwo", "record"),
     "robot.execution": ("execute", "execute_open_loop"),
+    "robot.protocol": ("Robot", "drive"),
+    "robot.simulated": ("SimulatedRobot",),
     "storage.plans": ("load_plan", "save_episode", "save_plan"),
     "storage.recordings": ("save",),
     "storage.runs": ("from_pretrained", "load_model", "push_to_hub", "read_shown"),

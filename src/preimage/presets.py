@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self, get_args
 
 from preimage.compute.precision import resolve_precision
+from preimage.ideas.replan_config import ReplanConfig
 from preimage.method.config import PlanConfig, TrainConfig
 from preimage.network.config import ModelConfig
 from preimage.network.ranges import validate
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from preimage.compute.processes import ProcessGroup
     from preimage.ideas.calibration import Calibration
     from preimage.ideas.memory import DemonstrationMemory
+    from preimage.ideas.replanning import Replanner
     from preimage.ideas.test_time_augmentation import TestTimeAugmentation
     from preimage.ideas.trust import Assessment
     from preimage.method.one_step import Policy
@@ -274,6 +276,38 @@ class Planner:
 
         augmentation = self.options.augmentation()
         return follow(self.model, plan, looks=augmentation.looks if augmentation else one_look)
+
+    def replanner(
+        self, *, goals: "Sequence[Percept]", settings: ReplanConfig | None = None, found: "Plan | None" = None, **more: Any
+    ) -> "Replanner":
+        """What plans anew at every step while the robot moves (`ideas.replanning`); looks moved a little are for first plans alone.
+
+        Args:
+            found: a plan to the first goal, where there is one already.
+            more: as `ideas.replanning.Replanner` takes it.
+        """
+        from preimage.ideas.last_look import LastLook
+        from preimage.ideas.memory import KrigedGuess
+        from preimage.ideas.moved_things import MovedThings
+        from preimage.ideas.replanning import Replanner
+
+        memory, options = self.memory, replace(self.options, test_time_augmentation=0.0)
+        handles = memory is not None and memory.num_events > 0
+        looks = memory is not None and options.end_correction and options.modalities == "vision" and not handles
+        ideas = options.ideas(memory)
+        return Replanner(
+            self.model,
+            self.plan,
+            goals=goals,
+            config=options,
+            ideas=ideas if isinstance(ideas.initial_guess, KrigedGuess) else replace(ideas, initial_guess=None),
+            settings=settings,
+            found=found,
+            look=LastLook(memory) if memory is not None and looks else None,
+            scene=MovedThings(memory) if memory is not None and handles else None,
+            gripper=memory.event_joint if memory is not None and handles else None,
+            **more,
+        )
 
     def recognise(self, demonstration: "Demonstration") -> "Recognition":
         """The intention of a whole sensed sequence (`method.plan.recognise`)."""

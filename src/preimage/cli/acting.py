@@ -6,7 +6,7 @@ What a verb's signature does not need is loaded in its function, so that a word 
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -14,10 +14,14 @@ from tyro.conf import Positional
 
 from preimage.cli.screen import following, remark, waiting
 from preimage.compute.choices import Device
-from preimage.presets import PlanOptions, Preset, load_planner
-from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, GoalRefused, Percept, Plan, Verdict, number_of
+from preimage.evaluation.loops import Disturbed
+from preimage.presets import PlanOptions, Preset, ReplanConfig, load_planner
+from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, GoalRefused, Percept, Plan, Scene, Verdict, number_of
 from preimage.storage.bundled import BUNDLED
 from preimage.storage.output_folders import Kind, output_folder, validate_output_file, validate_output_folder
+
+if TYPE_CHECKING:
+    from preimage.presets import Planner
 
 MOST_GOALS = 1000
 DEMO = Kind("demo", required=("report.html", "result.json"), pattern="goal-*.*")
@@ -179,30 +183,112 @@ def verdict_on(plan: Plan, when: str) -> str:
     return f"{words[plan.verdict]}, error {plan.error:.3f}{share}"
 
 
-def execute_(folder: Positional[Path], film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None, anyway: bool = False) -> None:
+def execute_(
+    plan: Positional[str],
+    film_: Annotated[Path | None, tyro.conf.arg(name="film")] = None,
+    loop: Literal["closed", "open", "replan"] = "closed",
+    run: str | None = None,
+    goal: tuple[str, ...] = (),
+    disturb: Disturbed | None = None,
+    anyway: bool = False,
+    replan: Annotated[ReplanConfig, tyro.conf.arg(name="")] = ReplanConfig(),  # noqa: B008, frozen
+    as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
+    config: Annotated[PlanOptions, tyro.conf.arg(name="")] = PlanOptions.full(),  # noqa: B008, frozen
+) -> None:
     """Let the simulated arm execute a plan, and judge where it ends.
 
     Args:
-        folder: what `preimage plan` wrote.
+        plan: what `preimage plan` wrote; or, with --goal, a run, which plans first.
         film_: film to write, .mp4 or .gif, imagined beside executed.
+        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; replan plans the rest of the way
+            anew at every step, and says what it believes.
+        run: the network that made the plan, for --loop open and replan: a run folder, a bundled model, or hf:OWNER/NAME.
+        goal: DATA:EPISODE of what is wanted, where a run is given in place of a plan; of several, --loop replan goes to one after
+            the other, in the scene of the last.
+        disturb: what goes wrong on the way: the hand is pushed, an encoder is off (bias), the object is elsewhere, frames are missing
+            (camera) or late.
         anyway: execute even a plan to a goal that is refused.
+        replan: how --loop replan goes about it.
+        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
+        config: how plans are searched for.
     """
+    import time
+
+    from preimage.evaluation.trials import Circumstances, try_out
     from preimage.report import film
     from preimage.report.films import FILM_SUFFIXES
-    from preimage.robot import Arm
-    from preimage.robot.execution import execute
-    from preimage.storage.plans import load_plan
+    from preimage.robot import Arm, with_frames
+    from preimage.robot.execution import execute, task_of
 
     if film_:
         validate_output_file(film_, "film", suffixes=FILM_SUFFIXES)
-    found, scene = load_plan(folder)
+    if disturb == "goal":
+        raise ValueError("--disturb goal needs goals to choose from: preimage evaluate has them")
+    if len(goal) > 1 and loop != "replan":
+        raise ValueError(f"--goal names {len(goal)} goals: give --loop replan, or plan to them first (preimage plan)")
+    planner, found, scene, then = planned_anew(plan, goal, config) if goal else planned_before(plan, run, loop, config)
     if scene is None:
-        raise ValueError(f"the plan in {folder} is for a goal without a scene, which nothing can judge: plan with --goal DATA:EPISODE")
+        raise ValueError(f"the plan in {plan} is for a goal without a scene, which nothing can judge: plan with --goal DATA:EPISODE")
     if found.trust and found.trust.refused and not anyway:
         raise GoalRefused.by(found.trust, "execute all the same with --anyway")
-    trial = execute(found, Arm(), scene)
+    if loop == "closed" and disturb is None:
+        trial = execute(found, Arm(), scene)
+    else:
+        circumstances = Circumstances(disturb, settings=replan, then=then, clock=time.perf_counter)
+        task = with_frames(task_of(scene), found.frames.shape[1])
+        trial, driven = try_out(planner, found, Arm(), task, scene, loop, circumstances)
+        if loop == "replan":
+            print("\n".join(beliefs_in_words(driven.decisions)))
     if film_:
         film(found, trial, film_)
     for sentence in trial.limited:
         print(sentence)
     print(f"{'reached' if trial.success else 'missed'}: {100 * trial.deviation_m:.1f} cm from the goal")
+
+
+def planned_before(folder: str, run: str | None, loop: str, options: PlanOptions) -> "tuple[Planner | None, Plan, Scene | None, tuple]":
+    """A plan from its folder, with the network that made it where the loop needs it."""
+    from preimage.storage.plans import load_plan
+
+    found, scene = load_plan(folder)
+    if loop == "closed":
+        return None, found, scene, ()
+    if run is None:
+        raise ValueError(f"--loop {loop} asks the network at every step: give the one that made the plan, as --run reach")
+    planner = load_planner(run, options)
+    sensors = planner.model.sensors
+    num_numbers = planner.model.intention_table.prior_mean(1).flatten().shape[1]
+    fits = found.joint_names == sensors.joint_names and found.frames.shape[1:] == (sensors.height, sensors.width, sensors.channels)
+    if not fits or len(found.intention) != num_numbers:
+        raise ValueError(f"the plan in {folder} was not made by {run}, or leads to several goals: give that run, or the run and --goal")
+    return planner, found, scene, ()
+
+
+def planned_anew(run: str, goals: Sequence[str], options: PlanOptions) -> "tuple[Planner, Plan, Scene | None, tuple]":
+    """A plan by a run to the first of some goals, from where the arm stands in the scene of the last, and the goals after it."""
+    from preimage.data.sources import find_percept
+    from preimage.robot import Arm, with_frames
+    from preimage.robot.execution import task_of
+    from preimage.robot.simulated import SimulatedRobot
+    from preimage.storage.runs import find_run, read_view
+
+    folder = find_run(run)
+    planner, view = load_planner(folder, options), read_view(folder)
+    wanted = [find_percept(each, planner.model.sensors, view=view, default_step=-1) for each in goals]
+    scene = wanted[-1].scene
+    if scene is None:
+        raise ValueError(f"{goals[-1]} is a goal without a scene, which nothing can judge: give DATA:EPISODE of simulated recordings")
+    task = with_frames(task_of(scene), planner.model.sensors.height)
+    start = SimulatedRobot(Arm(), task, scene, rate_hz=planner.model.config.rate_hz).sense()
+    found = planner.plan(start=start, goal=wanted[0].percept)
+    return planner, found, scene, tuple(each.percept for each in wanted[1:])
+
+
+def beliefs_in_words(beliefs: Sequence[Any]) -> list[str]:
+    """A line for each step of a loop that plans anew."""
+    lines = []
+    for each in beliefs:
+        off = f"sensed {100 * each.doubt:.1f} % and goal {100 * each.unexplained:.1f} % off what staying at the start would be"
+        moved = ", something was moved" if each.moved else ""
+        lines.append(f"step {each.step}: {number_of(each.steps_left, 'step')} left, {off}, {1000 * each.seconds:.0f} ms{moved}")
+    return [*lines, *(f"held where it is: {each.held}" for each in beliefs if each.held)]

@@ -13,8 +13,8 @@ from tyro.conf import Positional
 from preimage.cli.screen import console, following, known_task, remark
 from preimage.cli.trusting import evaluate_trust
 from preimage.compute.choices import Device
-from preimage.evaluation.loops import Loop
-from preimage.presets import PlanOptions, Preset, load_planner
+from preimage.evaluation.loops import Disturbed, Loop
+from preimage.presets import PlanOptions, Preset, ReplanConfig, load_planner
 from preimage.storage.atomic_write import write_json
 from preimage.storage.output_folders import validate_output_file
 
@@ -35,8 +35,11 @@ def evaluate_(
     seed: int = 5000,
     loop: Loop = "closed",
     impossible: bool = False,
+    disturb: Disturbed | Literal["all"] | None = None,
+    baselines: bool = True,
     device: Device = "auto",
     devices: int = 1,
+    replan: Annotated[ReplanConfig, tyro.conf.arg(name="")] = ReplanConfig(),  # noqa: B008, frozen
     as_: Annotated[Preset, tyro.conf.arg(name="as")] = "full",
     config: Annotated[PlanOptions, tyro.conf.arg(name="")] = PlanOptions.full(),  # noqa: B008, frozen
 ) -> None:
@@ -54,10 +57,15 @@ def evaluate_(
         task: name of the task.
         goals: how many goals.
         seed: draws the goals; take another one than the demonstrations were recorded with.
-        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; recorded, from the demonstration.
+        loop: closed executes the plan blind; open predicts the next joints from what the robot senses; replan plans the rest of the way
+            anew at every step; recorded predicts from the demonstration.
         impossible: count instead which goals are refused, twelve impossible kinds among them, and what trust in the others is worth.
+        disturb: what goes wrong on the way: the hand is pushed, an encoder is off (bias), the goal or the object is elsewhere, frames
+            are missing (camera) or late; all is each of them, and nothing, in each of the loops, from the same plans.
+        baselines: whether to execute what luck and memory would give as well.
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share the goals.
+        replan: how --loop replan goes about it.
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
         config: how the plans are searched for.
     """
@@ -76,6 +84,8 @@ def evaluate_(
     if not 0 <= seed < 2**63:
         raise ValueError(f"--seed is {seed}: give a whole number from 0 to {2**63 - 1}")
     validate_output_file(out, **EVALUATION)
+    if disturb is not None:
+        validate_disturbance(disturb, task, loop)
     if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     if data is not None:
@@ -90,11 +100,17 @@ def evaluate_(
     pixels = planner.model.sensors.height
     filmed = with_frames(TASKS[task], pixels)
     about |= {"seed": seed, "loop": loop, "pixels": pixels, "paper": paper_of(task, made["num_demonstrations"], loop)}
+    if disturb or loop == "replan":
+        about |= {"disturb": disturb, "replan": asdict(replan)}
     about |= {"plan": asdict(planner.options), "provenance": provenance(group.device)}
     mine = len(group.share(goals))
     remark(describe_precision(config.precision, group.device))
     if group.size == 1:
         remark(choose_threads())
+    if disturb == "all" and group.size > 1:
+        raise ValueError(f"--disturb all is one process's work: give --devices 1, not {devices}")
+    if disturb == "all":
+        return side_by_side(planner, filmed, about, out, goals=goals, seed=seed, replan=replan)
     with following("evaluating", total=mine, shown=group.first) as follow:
         reached: list[bool] = []
 
@@ -102,7 +118,8 @@ def evaluate_(
             reached.append(one.trial.success)
             follow(done=len(reached), text=f"{sum(reached)}/{len(reached)} reached")
 
-        evaluated = evaluate(planner, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, loop=loop, progress=tell, group=group)
+        how = {"loop": loop, "disturb": disturb, "replan": replan, "with_baselines": baselines}
+        evaluated = evaluate(planner, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, **how, progress=tell, group=group)
     if not group.first:
         return
     result = result_of(evaluated, about)
@@ -110,6 +127,38 @@ def evaluate_(
     print(summary("preimage", result))
     for name, baseline in result["baselines"].items():
         print(summary(name, baseline))
+
+
+def validate_disturbance(disturb: str, task: str, loop: Loop) -> None:
+    """Raises ValueError where nothing of the kind can happen in a task or a loop."""
+    import numpy as np
+
+    from preimage.robot import TASKS
+    from preimage.robot.disturbances import disturbance_of
+
+    if loop == "recorded":
+        raise ValueError("--loop recorded plays what was recorded, where nothing can go wrong: give closed, open or replan")
+    if disturb != "all":
+        scene = TASKS[task].sample(np.random.default_rng(0))
+        disturbance_of(disturb, scene, half=1, grasp=1, seed=(0,), other=scene)
+
+
+def side_by_side(planner: Any, task: Any, about: dict[str, Any], out: Path, **how: Any) -> None:
+    """The part of `evaluate` that lets everything go wrong in every loop; the counts so far are written after each goal."""
+    from preimage.evaluation.disturbed import cells_of, try_all
+    from preimage.robot import Arm
+
+    about = {name: value for name, value in about.items() if name not in ("loop", "paper")}
+    with following("evaluating", total=how["goals"]) as follow:
+
+        def tell(tried: Any) -> None:
+            write_json(out, about | {"cells": cells_of(tried)})
+            follow(done=min(map(len, tried.values())))
+
+        tried = try_all(planner, Arm(), task, **how, progress=tell)
+    for cell in cells_of(tried):
+        name = f"{cell['loop']} {cell['disturb'] or 'nothing'}"
+        print(summary(name if cell["window"] is None else f"{name} {cell['window']}", cell))
 
 
 def compare_with(

@@ -19,8 +19,9 @@ from jaxtyping import Float
 from preimage.compute.processes import ProcessGroup
 from preimage.data.joint_range import nearest_in_range
 from preimage.data.sequences import at_rate
-from preimage.evaluation.loops import Loop
-from preimage.presets import Planner
+from preimage.evaluation.loops import Disturbed, Loop
+from preimage.evaluation.trials import Circumstances, try_out
+from preimage.presets import Planner, ReplanConfig
 from preimage.records import Demonstration, Percept, Plan, Shown, Trial
 from preimage.robot import Arm, Task, record, succeeds_within
 from preimage.robot.execution import execute, execute_open_loop, play
@@ -50,6 +51,12 @@ class Row:
     limited: tuple[str, ...]
     details: dict[str, float]
     """What else the judge saw."""
+    held: str | None = None
+    """Why a loop that plans anew held the robot, if it did."""
+    step_seconds: tuple[float, ...] = ()
+    """The processor's time for each step of a loop that plans anew, the first excepted, before which a plan is made."""
+    doubts: tuple[float, ...] = ()
+    """What was sensed and not imagined, at each of its steps, as a share of the error of staying at the start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +68,8 @@ class Evaluated:
     plan: Plan
     trial: Trial
     baselines: Mapping[str, Trial]
+    beliefs: tuple[Any, ...] = ()
+    """What was believed at each step of a loop that plans anew (`ideas.replanning.Belief`)."""
 
 
 def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
@@ -87,6 +96,9 @@ def evaluate(
     shown: Sequence[Shown],
     loop: Loop = "closed",
     policies: Policies | None = None,
+    disturb: Disturbed | None = None,
+    replan: ReplanConfig | None = None,
+    with_baselines: bool = True,
     progress: Callable[[Evaluated], None] | None = None,
     group: ProcessGroup = ProcessGroup(),  # noqa: B008, frozen
 ) -> list[Evaluated]:
@@ -97,6 +109,9 @@ def evaluate(
         seed: draws the goals; not the one the demonstrations were recorded with.
         shown: the demonstrations the model was trained on, for the baseline that replays one of them.
         policies: more baselines, by name.
+        disturb: what goes wrong half way (`robot.disturbances`).
+        replan: how a loop that plans anew goes about it.
+        with_baselines: whether what would have been reached otherwise is executed too.
         progress: called after each goal of this process.
         group: the processes that share the goals; each gets the results of all.
 
@@ -107,9 +122,16 @@ def evaluate(
     for goal in group.share(goals).tolist():
         demonstration = recorded[goal]
         found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner))
-        trial = carry_out(planner, found, arm, task, demonstration, loop)
-        baselines = dict(baselines_of(planner, arm, task, demonstration, found, shown, policies or {}))
-        evaluated[goal] = Evaluated(demonstration, found, trial, baselines)
+        beliefs = ()
+        if disturb or loop == "replan":
+            assert demonstration.scene is not None
+            circumstances = Circumstances(disturb, recorded[(goal + 1) % goals], (seed, goal), replan)
+            trial, driven = try_out(planner, found, arm, task, demonstration.scene, loop, circumstances)
+            beliefs = tuple(driven.decisions) if loop == "replan" else ()
+        else:
+            trial = carry_out(planner, found, arm, task, demonstration, loop)
+        baselines = baselines_of(planner, arm, task, demonstration, found, shown, policies or {}) if with_baselines else ()
+        evaluated[goal] = Evaluated(demonstration, found, trial, dict(baselines), beliefs)
         if progress:
             progress(evaluated[goal])
     return group.gather(evaluated)
@@ -196,7 +218,19 @@ def row_of(index: int, one: Evaluated) -> Row:
         stopped=one.plan.stopped.name.lower(),
         limited=one.trial.limited,
         details=dict(one.trial.details),
+        held=one.beliefs[-1].held if one.beliefs else None,
+        step_seconds=tuple(round(belief.seconds, 4) for belief in one.beliefs[1:]),
+        doubts=tuple(round(belief.doubt, 4) for belief in one.beliefs),
     )
+
+
+def replanned(rows: Sequence[Row]) -> dict[str, Any]:
+    """How long the steps of a loop that plans anew took (the processor's time), and how often it held the robot."""
+    seconds = [each for row in rows for each in row.step_seconds]
+    if not seconds:
+        return {}
+    median, late = np.quantile(seconds, (0.5, 0.99)).round(4).tolist()
+    return {"held": sum(row.held is not None for row in rows), "seconds_per_step": {"median": median, "99 %": late, "max": max(seconds)}}
 
 
 def count(trials: Sequence[Trial]) -> dict[str, Any]:
@@ -245,6 +279,7 @@ def result_of(evaluated: Sequence[Evaluated], about: dict[str, Any]) -> dict[str
     names = list(evaluated[0].baselines)
     return {
         **about,
+        **replanned(rows),
         **count([one.trial for one in evaluated]),
         "seconds_per_plan": round(float(seconds.mean()), 3),
         "seconds_per_plan_max": round(float(seconds.max()), 3),

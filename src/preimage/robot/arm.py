@@ -177,6 +177,12 @@ class Arm:
             mujoco.mj_step(self._model, self._data)
         mujoco.mj_kinematics(self._model, self._data)  # mj_step leaves the bodies where they were one step ago
 
+    def shift_object(self, by_m: Sequence[float] | Float[np.ndarray, " 2"]) -> None:
+        """The object stands, at rest, so far from where it was (m)."""
+        self._data.joint(OBJECT).qpos[:2] += by_m
+        self._data.joint(OBJECT).qvel[:] = 0
+        mujoco.mj_forward(self._model, self._data)
+
     def sense(self) -> Percept:
         """What camera and joint encoders sense now.
 

@@ -133,7 +133,7 @@ class Stage:
         arm.set_up(task.workspace)
         validate_scene(scene, task, arm)
         task.lay_out(arm, scene)
-        self._task, self._arm, self._scene = task, arm, scene
+        self._task, self._arm, self.scene = task, arm, scene
         self._percepts, self.course = [arm.sense()], [arm.ground_truth()]
 
     @property
@@ -147,9 +147,22 @@ class Stage:
         self._percepts.append(self._arm.sense())
         self.course.append(self._arm.ground_truth())
 
+    @property
+    def true_joints(self) -> Float[np.ndarray, " J"]:
+        """Where the arm is now (rad; gripper: m)."""
+        joints = self._percepts[-1].joints
+        assert joints is not None
+        return joints
+
+    def disturb(self, happens: Callable[[], object]) -> None:
+        """Let something happen to arm or scene; what is sensed now is what is sensed after it."""
+        happens()
+        self._percepts[-1] = self._arm.sense()
+        self.course.append(self._arm.ground_truth())
+
     def judge(self) -> Judgement:
         """How the task judges the course so far."""
-        return self._task.judge(self._scene, self.course)
+        return self._task.judge(self.scene, self.course)
 
     def finish(self, command: Float[np.ndarray, " J"], limited: tuple[str, ...]) -> Trial:
         """Let the arm come to rest at the last command, and let the task judge the whole course."""
@@ -161,7 +174,7 @@ class Stage:
             end_effector_m=np.array([moment.end_effector_m for moment in self.course]),
             deviation_m=judgement.deviation_m,
             success=judgement.success,
-            scene=self._scene,
+            scene=self.scene,
             limited=limited,
             details=judgement.details,
         )

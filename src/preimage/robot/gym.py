@@ -26,10 +26,10 @@ import numpy as np
 from gymnasium.spaces import Box, Dict
 from jaxtyping import Float, UInt8
 
-from preimage.records import Demonstration
+from preimage.records import Demonstration, Percept
 from preimage.robot import TASKS, Arm, record
 from preimage.robot.execution import ENCODER_MARGIN, FARTHEST_M, Stage, limits_of
-from preimage.robot.limits import Limiter
+from preimage.robot.limits import Limiter, Limits
 
 REST_M = 0.005
 """An end effector that moved less than this since the step before is at rest (m)."""
@@ -157,6 +157,40 @@ class TaskEnvironment(gymnasium.Env[Any, np.ndarray]):
     @property
     def _goal_m(self) -> Float[np.ndarray, " P"]:
         return np.array(self._scene.positions_m[self._goal_name])[: len(self._brought_m)]
+
+
+@final
+class EnvironmentRobot:
+    """An environment whose actions are joints as a robot that a loop drives (`robot.protocol`).
+
+    What it gives to see is `frame` and `joints`, as here; of another environment, wrap it so that it does. An episode that is over goes on
+    to be sensed, and is commanded no more.
+
+    Args:
+        environment: the environment, which is reset.
+        limits: what may be commanded.
+        num_actions: actions for each command, in a straight line to it: 4 where the loop has 2.5 steps a second and the environment 10.
+        seed: of the reset.
+    """
+
+    def __init__(self, environment: Any, limits: Limits, *, num_actions: int = 1, seed: int | None = None) -> None:
+        self._environment, self.limits, self._num_actions = environment, limits, num_actions
+        self.seen, self.info = environment.reset(seed=seed)
+        self.is_over = False
+
+    def sense(self) -> Percept:
+        """Frame and joints of the last observation."""
+        return Percept(self.seen["frame"], np.asarray(self.seen["joints"], np.float64))
+
+    def command(self, joints: Float[np.ndarray, " J"]) -> None:
+        """Act until the joints are asked for, or the episode is over."""
+        begin = np.asarray(self.seen["joints"], np.float64)
+        for action in range(1, self._num_actions + 1):
+            if self.is_over:
+                return
+            wanted = begin + (joints - begin) * action / self._num_actions
+            self.seen, _, terminated, truncated, self.info = self._environment.step(wanted)
+            self.is_over = bool(terminated or truncated)
 
 
 def name_of(task: str) -> str:

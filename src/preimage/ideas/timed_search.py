@@ -1,0 +1,132 @@
+"""A search that is done a little at a time: at each step of the robot as much as fits into the step, and the rest at the next.
+
+By its own measure of how long imagining a sequence takes, a step begins no work that would end too late.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from preimage.ideas.gauss_newton import DAMPINGS, WORTHWHILE, Iterate, steps_from
+from preimage.method.error_regression import LEAST_GAIN, descend
+from preimage.method.seam import Objective, Problem
+from preimage.network.pdvmrnn import Generated
+
+FIRST_S = 0.02
+"""What imagining one sequence is taken to last before it was measured (s)."""
+FORGETTING = 0.9
+"""Share of a sequence's time that is left with every step: that a step was slow once must not keep all later ones from trying."""
+PROBE = 0.15
+"""How far each number is changed to see what it does, in standard deviations of the training intentions."""
+DESCENT_COST = 6
+"""Sequences that could be imagined in the time of an iteration of Adam: two, each there and back."""
+
+
+class Clock:
+    """How much of a step's time is left.
+
+    Args:
+        now: tells the time (s).
+        budget_s: time for each step (s).
+    """
+
+    def __init__(self, now: Callable[[], float], budget_s: float) -> None:
+        self._now, self._budget_s, self._per_sequence_s = now, budget_s, FIRST_S
+        self.begin()
+
+    def begin(self) -> None:
+        """A step begins."""
+        self._began, self.num_imagined = self._now(), 0
+        self._per_sequence_s *= FORGETTING
+
+    @property
+    def spent_s(self) -> float:
+        return self._now() - self._began
+
+    @property
+    def room(self) -> int:
+        """Sequences that can still be imagined in time."""
+        return max(0, int((self._budget_s - self.spent_s) / self._per_sequence_s))
+
+    def imagine(self, problem: Problem, points: Float[Tensor, "B K"]) -> Generated:
+        """What is imagined from points; how long it takes is kept in mind."""
+        began = self._now()
+        generated = problem.imagine(problem.space.intention(points))
+        took_s = (self._now() - began) / len(points)
+        self._per_sequence_s = max(took_s, (self._per_sequence_s + took_s) / 2, 1e-9)
+        self.num_imagined += len(points)
+        return generated
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A point of the intention space, and what is imagined from it."""
+
+    points: Float[Tensor, "1 K"]
+    generated: Generated
+
+
+Improve = Callable[[Problem, Objective, Solution, Clock], Solution | None]
+"""From a solution to a better one in the time that is left, to the same where that is too short, to None where none is better."""
+
+
+class ByGaussNewton:
+    """Gauss-Newton for an intention of few numbers.
+
+    What a change of each number does is measured a few numbers at a time, as time allows, and kept: it is what is imagined that is kept,
+    from which the residuals of any window and arrival follow.
+    """
+
+    def __init__(self) -> None:
+        self._problem: Problem | None = None
+        self._base: Solution | None = None
+        self._probes: list[Generated] = []
+
+    def __call__(self, problem: Problem, objective: Objective, here: Solution, clock: Clock) -> Solution | None:
+        """One iteration, as far as time allows."""
+        if self._base is None or self._problem is not problem:
+            self._problem, self._base, self._probes = problem, here, []
+        if not self._measure(self._base, problem, clock) or clock.room < len(DAMPINGS):
+            return here
+        before = objective.errors(here.generated)[0].item()
+        there, error = self._step(self._base, problem, objective, here, clock)
+        worthwhile, was_measured_here = error < (1 - WORTHWHILE) * before, self._base is here
+        if not worthwhile:
+            self._base = None  # measured anew, from where it is then
+        if was_measured_here and error > (1 - LEAST_GAIN) * before:
+            return None
+        return there if error < before else here
+
+    def _measure(self, base: Solution, problem: Problem, clock: Clock) -> bool:
+        """Change each number in turn; whether all are done."""
+        num_numbers = base.points.shape[1]
+        while (known := sum(len(each.pixels) for each in self._probes)) < num_numbers and clock.room > 0:
+            directions = torch.eye(num_numbers).to(base.points)[known : known + clock.room]
+            self._probes.append(clock.imagine(problem, base.points + PROBE * directions))
+        return known == num_numbers
+
+    def _step(self, base: Solution, problem: Problem, objective: Objective, here: Solution, clock: Clock) -> tuple[Solution, float]:
+        """The best of the steps that are tried side by side, and its error."""
+        probes = Generated(*(torch.cat([getattr(each, part) for each in self._probes]) for part in ("pixels", "log_codes")))
+        error, arrival = objective.errors(here.generated)
+        now = Iterate(here.points, error, arrival, objective.residuals(here.generated, arrival))
+        changed = objective.residuals(probes, arrival.expand(len(probes.pixels)))
+        jacobian = (changed - objective.residuals(base.generated, arrival)) / PROBE
+        points = steps_from(now, jacobian[None], problem.config.intention_cost)[0]
+        tried = clock.imagine(problem, points)
+        errors = objective.errors(tried)[0].nan_to_num(nan=torch.inf)
+        best = errors.argmin()[None]
+        return Solution(points[best], Generated(tried.pixels[best], tried.log_codes[best])), errors[best].item()
+
+
+def by_adam(problem: Problem, objective: Objective, here: Solution, clock: Clock) -> Solution | None:
+    """An iteration of the paper's search, for intentions of many numbers."""
+    if clock.room < DESCENT_COST:
+        return here
+    with torch.enable_grad():
+        found = descend(problem, objective, here.points, 1)
+    there = Solution(found.points, clock.imagine(problem, found.points))
+    return there if bool(objective.errors(there.generated)[0] < objective.errors(here.generated)[0]) else None
