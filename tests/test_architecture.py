@@ -10,10 +10,10 @@ import preimage
 ROOT = Path(preimage.__file__).parent
 WINGS = [
     *("records", "compute", "network", "fast", "data", "storage", "method", "ideas", "presets"),
-    *("robot", "examination", "report", "evaluation", "cli"),
+    *("robot", "examination", "report", "evaluation", "studio", "cli"),
 ]
 """From the ground up. `presets` is a room of its own, the only one that wires ideas into the method."""
-PLANNER = {"robot", "mujoco", "examination", "report", "evaluation", "cli"}
+PLANNER = {"robot", "mujoco", "examination", "report", "evaluation", "studio", "cli"}
 WALLS = {  # wing or room -> what it never imports, wherever it stands
     "robot": {"torch"},
     "report": {"torch", "mujoco"},
@@ -82,8 +82,10 @@ WIRES_NOTHING = {
     "preimage.ideas.waypoints.join",
     "preimage.ideas.memory.DemonstrationMemory",
     "preimage.ideas.calibration.Calibration",
+    "preimage.ideas.watched.Considered",
 }
-"""What joins plans that were made, what is kept of demonstrations, and what was learned of trust in plans, anyone may name."""
+"""What joins plans that were made, what is kept of demonstrations, what was learned of trust in plans, and what a search tells of itself,
+anyone may name."""
 
 
 def test_presets_alone_wire_ideas_into_the_method():

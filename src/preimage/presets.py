@@ -9,6 +9,7 @@
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from preimage.ideas.replanning import Replanner
     from preimage.ideas.test_time_augmentation import TestTimeAugmentation
     from preimage.ideas.trust import Assessment
+    from preimage.ideas.watched import See
     from preimage.method.one_step import Policy
     from preimage.method.plan import Recognition
     from preimage.method.seam import Augmentation, Ideas, PlanCorrection, TermsOf
@@ -157,8 +159,11 @@ class PlanOptions(PlanConfig):
 
         return TestTimeAugmentation(self.test_time_augmentation) if self.test_time_augmentation else None
 
-    def ideas(self, memory: "DemonstrationMemory | None") -> "Ideas":
+    def ideas(self, memory: "DemonstrationMemory | None", see: "See | None" = None) -> "Ideas":
         """What `method.plan` is given.
+
+        Args:
+            see: called with every point that the search evaluates.
 
         Raises:
             ValueError: an idea needs a memory of the demonstrations, and there is none.
@@ -171,6 +176,7 @@ class PlanOptions(PlanConfig):
         from preimage.ideas.memory import KrigedGuess
         from preimage.ideas.nearest_training import NearestToGoal
         from preimage.ideas.restarts import Restarts
+        from preimage.ideas.watched import Watched
         from preimage.method.error_regression import adam
         from preimage.method.plan import random_guesses
         from preimage.method.seam import Ideas
@@ -180,6 +186,8 @@ class PlanOptions(PlanConfig):
         guess = NearestToGoal(self.candidates) if self.guess == "nearest" else random_guesses
         tolerance = self.tolerance if self.expected_joints and self.modalities == "vision" else 0.0
         search = adam if self.search == "adam" else GaussNewton(self.iterations, self.finite_difference_step, tolerance)
+        if see:
+            search = Watched(search, see)
         if self.restarts:
             search = Restarts(search, NearestToGoal(self.restarts), self.restart_threshold)
         terms: list[TermsOf] = [hold_goal] if self.hold_goal else []
@@ -246,6 +254,12 @@ class Planner:
         fits = known is not None and dict(known.plan) == options
         otherwise = known is not None and not fits
         return Assessment(self.model, self.memory if self.options.needs_memory else None, known if fits else None, otherwise)
+
+    def watched(self, see: "See") -> "Planner":
+        """The same planner, whose searches report every point they evaluate (`ideas.watched`)."""
+        planner = copy(self)
+        planner.ideas = self.options.ideas(self.memory, see)
+        return planner
 
     def plan_in_turn(self, *, goals: "Sequence[Percept]", start: "Percept | None" = None) -> "list[Plan]":
         """A plan to each of several goals, from where the one before arrives (`ideas.waypoints`)."""
