@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from preimage.data.lerobot_writer import save
+from preimage.storage.recordings import save
 from preimage.ideas.watched import Considered
 from preimage.network.coding import to_frames
 from preimage.presets import PlanOptions, Preset
