@@ -125,7 +125,8 @@ def test_bfloat16_rounds_no_more_than_it_does_in_torch() -> None:
     for name, value in exact.items():
         if value is not None and "to_keypoints.bias" not in name:  # which has no effect: the gradient is noise
             errors = [(each[name] - value).norm() / value.norm() for each in (told, rounded)]
-            assert 1e-5 < errors[0] < 1.5 * errors[1] + 1e-3, name
+            assert errors[0] < 2 * errors[1] + 1e-3, name
+    assert (told["pixels"] - exact["pixels"]).norm() > 1e-4 * exact["pixels"].norm(), "it is bfloat16 that was taken"
 
 
 def test_frozen_weights_get_no_gradient_and_the_intention_the_same() -> None:

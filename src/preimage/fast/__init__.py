@@ -34,7 +34,7 @@ def install() -> None:
 def closed_loop_engine(
     model: "PDVMRNN", states: "dict[str, State]", start: "Inputs", num_steps: int, dtype: "torch.dtype | None"
 ) -> "tuple[Tensor, Tensor] | None":
-    """The compiled loop as an `Engine`; it computes in the precision of the weights, which is the one asked for or more."""
+    """The compiled loop as an `Engine`; it computes in the precision asked for, or in that of the weights, which is more."""
     if not serves(model, start, dtype):
         return None
     from preimage.fast.loop import closed_loop

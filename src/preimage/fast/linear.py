@@ -20,8 +20,7 @@ from preimage.fast.operations import CONVOLUTION, clear_padding, sum_of
 from preimage.fast.simd import VECTOR_SIZE, horizontal_sum
 
 CHUNK = 2048
-"""Numbers of a channel that a weight gradient goes through before the next channel: three of these and three lines of taps fit the
-first cache."""
+"""Numbers of a channel that a weight gradient goes through before the next channel: three such chunks and the taps fit the first cache."""
 
 INLINED = {name: OPTIONS[name] for name in ("fastmath", "error_model")}
 """Options of what becomes part of the function that calls it."""

@@ -155,9 +155,8 @@ def gradient_of(weights: Tensor, grad_small: Tensor, programs: list[Program], bu
     for lines in zip(*(program.operations[program.operations["kind"] == MATRIX] for program in programs), strict=True):
         inputs, outputs, weight, bias = (int(lines[0][name]) for name in ("inputs", "outputs", "weight", "bias"))
         x, gradients = [], []
-        for line, steps, tape in zip(lines, buffers, tapes, strict=True):
-            steps = steps[1:] if line["source_now"] else steps[:-1]
-            x.append(over_steps(steps, line["source"], inputs, line["size"]))
+        for line, buffer, tape in zip(lines, buffers, tapes, strict=True):
+            x.append(over_steps(buffer[1:] if line["source_now"] else buffer[:-1], line["source"], inputs, line["size"]))
             gradients.append(over_steps(tape, line["tape"], outputs, line["size"]))
         all_gradients = torch.cat(gradients, dim=1)
         torch.mm(all_gradients, torch.cat(x, dim=1).T, out=result[weight:bias].view(outputs, inputs))

@@ -20,6 +20,7 @@ numba caches compiled code by the age of the file that starts the compilation, `
 # An intrinsic is called with other arguments than it is declared with, and numba's types tell pyright little.
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from numba.core.cgutils import get_or_insert_function
 from numba.extending import intrinsic, models, overload, register_model
 
 
+@cache
 def has(feature: str) -> bool:
     """Whether the processor that numba compiles for has this (NUMBA_CPU_FEATURES, by default the machine's own)."""
     chosen = getattr(config, "CPU_FEATURES", None)
