@@ -80,6 +80,7 @@ def by_torch() -> Iterator[None]:
     """Tiny networks of the tests go the way of the large ones; `test_compiled` says that the other way leads to the same."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("preimage.network.engines.ENGINES", [])
+        patch.setattr("preimage.cli.screen.LINE_EVERY_S", 1e6)  # a busy machine is no reason for a line more
         yield
 
 

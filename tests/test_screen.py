@@ -20,7 +20,8 @@ def clock(monkeypatch):
     return now
 
 
-def test_a_log_gets_a_line_now_and_then(clock, capsys):
+def test_a_log_gets_a_line_now_and_then(clock, capsys, monkeypatch):
+    monkeypatch.setattr(screen, "LINE_EVERY_S", 30.0)
     with screen.following("training", total=100) as follow:
         for done in range(1, 101):
             clock[0] = 2.0 * done
