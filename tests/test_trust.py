@@ -198,7 +198,7 @@ def test_a_refused_plan_is_not_executed(tmp_path: Path, refused_plan: Plan, scen
     )
     code, sentence = refused("execute", tmp_path, "--anyway")
     assert code == 2, "it is of another arm, but it is taken"
-    assert "joints" in sentence
+    assert "reach needs joint1" in sentence
 
 
 def test_plan_refuses_with_exit_code_1_and_writes_anyway(
