@@ -192,7 +192,8 @@ def test_it_stops_where_it_does_not_believe_and_stays_there(planner: Planner, fo
     replanner = planner.replanner(goals=[found.goal], found=found, settings=replace(PATIENT, rounds=0, patience=2, disbelief=0.1))
     replanner(bar(0.8).first)
     elsewhere = Percept(255 - bar(0.8).first.frame, np.array([-0.2, 0.4]))
-    one, two, three = (replanner(elsewhere) for _ in range(3))
+    one, two = replanner(elsewhere), replanner(elsewhere)
+    three = replanner(Percept(elsewhere.frame, elsewhere.joints - 0.1))  # it sinks, and is held where it was
     assert (one.held, one.done) == (None, False)
     assert two.held is not None
     assert "what is sensed is not what is imagined" in two.held
@@ -228,6 +229,14 @@ def test_the_goal_may_change_under_way(planner: Planner, found: Plan) -> None:
     last = drive(robot, decide, period_s=0.4, most_steps=40).decisions[-1]
     assert last.done
     assert last.command[0] == pytest.approx(0.3, abs=0.15)
+
+
+def test_a_plan_of_another_horizon_is_gone_as_well(planner: Planner) -> None:
+    short = Planner(planner.model, planner.memory, replace(FULL, horizon=5))
+    found = short.plan(start=bar(0.5).first, goal=Percept(bar(0.5).last.frame))
+    beliefs = run(planner.replanner(goals=[found.goal], found=found, settings=PATIENT))
+    assert beliefs[-1].done
+    assert len(beliefs) == found.arrival_step
 
 
 def test_several_goals_are_reached_in_a_row(planner: Planner, found: Plan) -> None:

@@ -173,7 +173,7 @@ class Replanner:
         with torch.enable_grad():  # which the search by Adam needs
             plan = self._found or self._plan(start=start, goal=goal)
         self._found, self._held = None, self._refuse(plan)
-        self._set_up(problem_of(self._model, start, goal, self._config))
+        self._set_up(problem_of(self._model, start, goal, replace(self._config, horizon=len(plan))))
         points = coordinates_of(plan.intention, self._problem.space, self._model)
         self._problem.imagine(self._problem.space.intention(points), 1)  # the first time takes longer, and is not to be measured
         self._solution = Solution(points, self._clock.imagine(self._problem, points))
@@ -184,6 +184,7 @@ class Replanner:
         assert start.joints is not None
         self._has_begun = True
         self._last_frame, self._joints, self._was, self._at = start.frame, start.joints, start.joints, 0
+        self._stay = start.joints
 
     def _set_up(self, problem: Problem) -> None:
         """Another problem, on the way of which nothing was sensed yet."""
@@ -212,7 +213,7 @@ class Replanner:
     def _turn(self, goal: Percept) -> None:
         """To another goal from under way: the way there, from the same start, is entered where it passes nearest to the robot."""
         problem = self._problem
-        other = problem_of(self._model, Percept(self._last_frame, self._joints), goal, self._config)
+        other = problem_of(self._model, Percept(self._last_frame, self._joints), goal, problem.config)
         self._set_up(replace(other, start=problem.start))
         guesses = [self._solution.points]
         if self._ideas.initial_guess is not None:
@@ -281,12 +282,13 @@ class Replanner:
         window_error = 0.0 if window is None else window.errors(self._solution.generated).item()
         doubt = window_error / max(self._to_goal.to_explain, 1e-9)
         self._num_doubts = self._num_doubts + 1 if doubt > self.settings.disbelief else 0
+        self._stay = self._stay if self._held else self._joints
         if self._num_doubts >= self.settings.patience and self._held is None:
             shares = f"{100 * doubt:.0f} % of the error of staying at the start, for {self._num_doubts} steps"
             self._held = f"what is sensed is not what is imagined ({shares}, {100 * self.settings.disbelief:.0f} % are believed)"
         if self._has_arrived and self._sensed and self._held is None:
             self._look_once_more()
-        command = self._joints if self._held else self._way.joints[min(self._at + 1, self._way.arrival)] + self._offset
+        command = self._stay if self._held else self._way.joints[min(self._at + 1, self._way.arrival)] + self._offset
         return Belief(
             command=np.asarray(command, float),
             step=self._step,
