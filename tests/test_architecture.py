@@ -10,10 +10,10 @@ import preimage
 ROOT = Path(preimage.__file__).parent
 WINGS = [
     *("records", "compute", "network", "fast", "data", "storage", "method", "ideas", "presets"),
-    *("robot", "examination", "report", "evaluation", "cli"),
+    *("robot", "examination", "report", "evaluation", "studio", "cli"),
 ]
 """From the ground up. `presets` is a room of its own, the only one that wires ideas into the method."""
-PLANNER = {"robot", "mujoco", "examination", "report", "evaluation", "cli"}
+PLANNER = {"robot", "mujoco", "examination", "report", "evaluation", "studio", "cli"}
 WALLS = {  # wing or room -> what it never imports, wherever it stands
     "robot": {"torch"},
     "report": {"torch", "mujoco"},

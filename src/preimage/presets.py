@@ -9,6 +9,7 @@
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from preimage.compute.processes import ProcessGroup
     from preimage.ideas.memory import DemonstrationMemory
     from preimage.ideas.test_time_augmentation import TestTimeAugmentation
+    from preimage.ideas.watched import See
     from preimage.method.one_step import Policy
     from preimage.method.plan import Recognition
     from preimage.method.seam import Augmentation, Ideas, PlanCorrection, TermsOf
@@ -149,8 +151,11 @@ class PlanOptions(PlanConfig):
 
         return TestTimeAugmentation(self.test_time_augmentation) if self.test_time_augmentation else None
 
-    def ideas(self, memory: "DemonstrationMemory | None") -> "Ideas":
+    def ideas(self, memory: "DemonstrationMemory | None", see: "See | None" = None) -> "Ideas":
         """What `method.plan` is given.
+
+        Args:
+            see: called with every point that the search evaluates.
 
         Raises:
             ValueError: an idea needs a memory of the demonstrations, and there is none.
@@ -163,6 +168,7 @@ class PlanOptions(PlanConfig):
         from preimage.ideas.memory import KrigedGuess
         from preimage.ideas.nearest_training import NearestToGoal
         from preimage.ideas.restarts import Restarts
+        from preimage.ideas.watched import Watched
         from preimage.method.error_regression import adam
         from preimage.method.plan import random_guesses
         from preimage.method.seam import Ideas
@@ -172,6 +178,8 @@ class PlanOptions(PlanConfig):
         guess = NearestToGoal(self.candidates) if self.guess == "nearest" else random_guesses
         tolerance = self.tolerance if self.expected_joints and self.modalities == "vision" else 0.0
         search = adam if self.search == "adam" else GaussNewton(self.iterations, self.finite_difference_step, tolerance)
+        if see:
+            search = Watched(search, see)
         if self.restarts:
             search = Restarts(search, NearestToGoal(self.restarts), self.restart_threshold)
         terms: list[TermsOf] = [hold_goal] if self.hold_goal else []
@@ -212,6 +220,12 @@ class Planner:
         from preimage.method.plan import plan
 
         return plan(self.model, start=start, goal=goal, config=self.options, ideas=self.ideas)
+
+    def watched(self, see: "See") -> "Planner":
+        """The same planner, whose searches report every point they evaluate (`ideas.watched`)."""
+        planner = copy(self)
+        planner.ideas = self.options.ideas(self.memory, see)
+        return planner
 
     def plan_in_turn(self, *, goals: "Sequence[Percept]", start: "Percept | None" = None) -> "list[Plan]":
         """A plan to each of several goals, from where the one before arrives (`ideas.waypoints`)."""

@@ -28,6 +28,7 @@ class Verb:
 
 VERBS = {
     "demo": Verb("acting", "demo", "Let the bundled model plan to goals it never saw, execute the plans, and show films and a report."),
+    "studio": Verb("showing", "studio", "Open a local page: click a goal, watch how it is imagined, and let the arm move."),
     "record": Verb("learning", "record_", "Record demonstrations of a task on the simulated arm, as a LeRobotDataset v3.0."),
     "check": Verb("learning", "check", "Say whether recordings can be learned from, what is wrong with them and what would help."),
     "train": Verb("learning", "train_", "Train a network on the demonstrations of a data set."),

@@ -70,6 +70,21 @@ class Camera:
         seen = seen.reshape(self.height, across, self.width, across, 3).swapaxes(1, 2)
         return seen.reshape(self.height * self.width, across * across, 3)
 
+    def project(self, positions_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
+        """Where points (m) are seen: shares of the frame's width from the left and of its height from the top."""
+        right, up, backwards = np.moveaxis((positions_m - np.array(self.position_m)) @ self._axes().T, -1, 0)
+        tangent = 2 * np.tan(np.radians(self.fovy_deg) / 2)
+        across, down = (each / (-backwards * tangent) for each in (right, -up))
+        return np.stack([across * self.height / self.width + 0.5, down + 0.5], axis=-1)
+
+    def place_at(self, seen: Float[np.ndarray, " 2"], height_m: float) -> Float[np.ndarray, " 3"] | None:
+        """The point at a height (m) that is seen there, the inverse of `project`; None where the ray does not come down to it."""
+        tangent = 2 * np.tan(np.radians(self.fovy_deg) / 2)
+        across, down = (seen - 0.5) * tangent * np.array([self.width / self.height, 1])
+        ray = np.array([across, -down, -1.0]) @ self._axes()
+        eye = np.array(self.position_m)
+        return eye + ray * (height_m - eye[2]) / ray[2] if ray[2] < 0 else None
+
     def _axes(self) -> Float[np.ndarray, "3 3"]:
         """Rows: the directions right, up and backwards of the camera in the frame of the table."""
         backwards = np.subtract(self.position_m, self.target_m)

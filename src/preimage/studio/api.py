@@ -1,0 +1,239 @@
+"""What the page asks for, route by route, under /api; OpenAPI describes it at /api/openapi.json."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Callable
+from functools import partial
+from http import HTTPStatus
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+from urllib.parse import unquote
+
+from fastapi import APIRouter, Body, Header, Query, Request, Response
+from fastapi.responses import PlainTextResponse, StreamingResponse
+from pydantic import BaseModel, Field
+
+from preimage.presets import Preset
+from preimage.studio import planning
+from preimage.studio.goals import MOST_SEEDS, Goal, Goals
+from preimage.studio.intentions import FARTHEST, Intentions
+from preimage.studio.jobs import Job, Jobs
+from preimage.studio.opened import OpenedRun
+from preimage.studio.planning import Planned
+from preimage.studio.problems import Refusal
+from preimage.studio.recordings import Recordings
+from preimage.studio.results import evaluations
+from preimage.studio.trainings import Trainings
+
+Value = TypeVar("Value")
+Share = Annotated[float, Field(ge=0, le=1)]
+Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS, description="draws what lies on the table")]
+MOST_NAME = 120
+"""Letters of a picture's name that are kept."""
+
+
+class Place(BaseModel):
+    """A place on the picture of the table."""
+
+    seen: tuple[Share, Share] = Field(description="shares of the picture's width from the left and of its height from the top")
+    seed: Seed = 0
+
+
+class FrameOf(BaseModel):
+    """A frame of a recording."""
+
+    data: str = Field(max_length=255, description="name of a data set that the studio was given")
+    episode: Annotated[int, Field(ge=0)]
+    step: Annotated[int, Field(ge=0)]
+
+
+class Now(BaseModel):
+    """What the camera sees: after the execution of a plan, or before anything."""
+
+    job: str | None = Field(default=None, max_length=64)
+    seed: Seed = 0
+
+
+class Wanted(BaseModel):
+    """What is to be planned."""
+
+    goal: int = Field(description="number of a goal")
+    preset: Preset = "full"
+
+
+class Point(BaseModel):
+    """A point of the plane of intentions, in standard deviations."""
+
+    point: tuple[Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)], Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]]
+
+
+class Studio:
+    """All that the routes speak of.
+
+    Args:
+        run: the run that was opened.
+        recordings: data sets.
+        trainings: runs that may be watched.
+        results: folder of results.
+        work: folder that starts and goals are kept in.
+    """
+
+    def __init__(
+        self, run: OpenedRun, recordings: Recordings, trainings: Trainings, *, results: Path | None = None, work: Path = Path("studio")
+    ) -> None:
+        self.run, self.recordings, self.trainings, self.results, self.work = run, recordings, trainings, results, work
+        self.jobs, self.goals, self.intentions = Jobs(), Goals(run, recordings), Intentions(run)
+
+    def planned(self, key: str) -> Planned:
+        """Raises Refusal where there is no such plan."""
+        job = self.jobs.find(key)
+        if not isinstance(job.result, Planned):
+            raise Refusal(HTTPStatus.CONFLICT, "this plan is not found yet: wait for it, or plan again")
+        return job.result
+
+
+def routes(studio: Studio) -> APIRouter:
+    """The routes of one studio."""
+    api = APIRouter(prefix="/api")
+    add_goals(api, studio)
+    add_plans(api, studio)
+    add_rest(api, studio)
+    return api
+
+
+def add_goals(api: APIRouter, studio: Studio) -> None:
+    """What is wanted."""
+    run, goals = studio.run, studio.goals
+
+    @api.get("/studio", summary="What was opened: the run, its joints, presets and table, the data sets")
+    def opened() -> dict[str, Any]:
+        more = {"has_runs": bool(studio.trainings.listed()), "has_results": bool(evaluations(studio.results))}
+        return run.described() | {"data": studio.recordings.listed()} | more
+
+    @api.get("/scene", summary="What the camera sees before anything moves")
+    def scene(seed: Annotated[int, Query(ge=0, lt=MOST_SEEDS)] = 0) -> dict[str, Any]:
+        return goals.start(seed)
+
+    @api.get("/reachable", summary="Where on the picture the arm gets to, row by row")
+    def reachable() -> list[str]:
+        return run.table.reachable() if run.table else []
+
+    def told(goal: Goal) -> dict[str, Any]:
+        return goal.described(run)
+
+    @api.post("/goals/place", status_code=201, summary="A goal from a place on the table")
+    def place(wanted: Place) -> dict[str, Any]:
+        return told(goals.at_place(wanted.seed, wanted.seen))
+
+    @api.post("/goals/picture", status_code=201, summary="A goal from a picture: its bytes, PNG, JPEG, WebP, BMP or TIFF")
+    def picture(
+        content: Annotated[bytes, Body(media_type="application/octet-stream")],
+        seed: Annotated[int, Query(ge=0, lt=MOST_SEEDS)] = 0,
+        x_name: Annotated[str, Header(description="name of the file, percent-encoded")] = "picture",
+    ) -> dict[str, Any]:
+        return told(goals.of_picture(content, Path(unquote(x_name)).name[:MOST_NAME] or "picture", seed))
+
+    @api.post("/goals/frame", status_code=201, summary="A goal from a frame of a recording")
+    def frame(wanted: FrameOf) -> dict[str, Any]:
+        return told(goals.of_frame(wanted.data, wanted.episode, wanted.step))
+
+    @api.post("/goals/current", status_code=201, summary="A goal from what the camera sees now")
+    def current(now: Now) -> dict[str, Any]:
+        trial = studio.planned(now.job).trial if now.job else None
+        return told(goals.of_now(trial.frames[-1] if trial else None, now.seed))
+
+
+def add_plans(api: APIRouter, studio: Studio) -> None:
+    """Plans and their executions."""
+    run, jobs = studio.run, studio.jobs
+
+    @api.post("/plans", status_code=202, summary="Search for a plan; it is stopped when nobody listens to its events any more")
+    def plan(wanted: Wanted) -> dict[str, Any]:
+        goal = studio.goals.find(wanted.goal)
+        if wanted.preset not in run.presets:
+            raise Refusal(HTTPStatus.UNPROCESSABLE_ENTITY, f"this run has no memory, which {wanted.preset} needs: take {run.presets[-1]}")
+        work = partial(planning.plan_to, run, goal, wanted.preset, jobs)
+        return account(jobs.add("plan", work, goal=goal.described(run), preset=wanted.preset))
+
+    @api.get("/jobs", summary="All jobs that are remembered")
+    def listed() -> list[dict[str, Any]]:
+        return [account(job) for job in jobs.all()]
+
+    @api.get("/jobs/{key}", summary="One job, and what was wanted of it")
+    def one(key: str) -> dict[str, Any]:
+        job = jobs.find(key)
+        result = job.result
+        trial = planning.executed(run, result, result.trial) if isinstance(result, Planned) and result.trial else None
+        return account(job) | {"about": job.about, "execution": trial}
+
+    @api.get("/jobs/{key}/events", summary="What happens in a job, as server-sent events; begins again after Last-Event-ID")
+    def events(key: str, request: Request, last_event_id: Annotated[int, Header()] = -1) -> StreamingResponse:
+        return StreamingResponse(streamed(jobs.find(key), last_event_id, request), media_type="text/event-stream")
+
+    @api.post("/jobs/{key}/stop", summary="Stop a job at its next step")
+    def stop(key: str) -> dict[str, Any]:
+        job = jobs.find(key)
+        job.stop()
+        return account(job)
+
+    @api.post("/jobs/{key}/execution", summary="Let the simulated arm execute a plan, and judge where it ends")
+    def execution(key: str) -> dict[str, Any]:
+        return planning.execute(run, studio.planned(key))
+
+    @api.post("/jobs/{key}/kept", summary="Keep start and goal on disk, so that the command line can repeat the plan")
+    def kept(key: str) -> dict[str, Any]:
+        planned = studio.planned(key)
+        place = None if planned.goal.source else planning.keep(run, planned.goal, studio.work)
+        return {"command": planning.command_of(run, planned.goal, planned.preset, place)}
+
+    @api.get("/jobs/{key}/joints.csv", summary="The joints to command, within the limits of the demonstrations")
+    def joints(key: str) -> PlainTextResponse:
+        return PlainTextResponse(planning.commands_csv(run, studio.planned(key).plan), media_type="text/csv")
+
+    @api.get("/jobs/{key}/film.mp4", summary="The film of a plan")
+    def film(key: str) -> Response:
+        planned = studio.planned(key)
+        return Response(planning.film_of(planned), media_type="video/mp4")
+
+
+def add_rest(api: APIRouter, studio: Studio) -> None:
+    """Intentions, recordings, trainings, results."""
+
+    @api.get("/intentions", summary="The training intentions in two dimensions, and how what is imagined from each ends")
+    async def intentions() -> dict[str, Any]:
+        return await by_worker(studio.jobs, studio.intentions.map)
+
+    @api.post("/intentions/film", summary="What is imagined from a point of the plane of intentions")
+    async def imagined(wanted: Point) -> dict[str, Any]:
+        return await by_worker(studio.jobs, partial(studio.intentions.film, wanted.point))
+
+    @api.get("/data/{name}/episodes/{episode}", summary="An episode of a recording")
+    def episode(name: str, episode: int) -> dict[str, Any]:
+        return studio.recordings.episode(name, episode)
+
+    @api.get("/data/{name}/findings", summary="What `preimage check` finds in a data set")
+    def findings(name: str) -> dict[str, Any]:
+        return studio.recordings.findings(name)
+
+    @api.get("/runs", summary="Trainings, and how far they are")
+    def runs() -> list[dict[str, Any]]:
+        return studio.trainings.listed()
+
+    @api.get("/results", summary="What was measured before")
+    def results() -> list[dict[str, Any]]:
+        return evaluations(studio.results)
+
+
+async def by_worker(jobs: Jobs, work: Callable[[], Value]) -> Value:
+    """What the worker computes, also between two steps of a plan; given up where whoever asked has left."""
+    return await asyncio.wrap_future(jobs.errand(work))
+
+
+def account(job: Job) -> dict[str, Any]:
+    return {"job": job.id, "kind": job.kind, "state": job.state, "events": len(job.events)}
+
+
+async def streamed(job: Job, after: int, request: Request) -> AsyncIterator[str]:
+    """The events of a job, as they are sent."""
+    async for event in job.listen(after, request.is_disconnected):
+        yield ": \n\n" if event is None else f"id: {event['id']}\ndata: {json.dumps(event)}\n\n"

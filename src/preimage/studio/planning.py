@@ -1,0 +1,207 @@
+"""A plan as a job: what the page sees while it is searched for, what it gets at the end, and what happens when it is executed."""
+
+import shlex
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from preimage.data.lerobot_writer import save
+from preimage.ideas.watched import Considered
+from preimage.network.coding import to_frames
+from preimage.presets import PlanOptions, Preset
+from preimage.records import NEAR_BELOW, REACHED_BELOW, Demonstration, Plan, Trial, Verdict
+from preimage.report import film
+from preimage.robot.limits import commands_of
+from preimage.studio.goals import Goal
+from preimage.studio.jobs import Job, Jobs
+from preimage.studio.opened import OpenedRun
+from preimage.studio.pictures import inline, strip, text_of
+from preimage.studio.problems import Refusal
+
+MOST_DOTS = 12
+"""Candidates that are told of in one event: what a search evaluates at once are hardly ever more."""
+LIKELY = {
+    Verdict.REACHED: "what it imagines meets the goal",
+    Verdict.NEAR: "what it imagines comes near to the goal, not quite to it",
+    Verdict.IN_DOUBT: "what it imagines does not meet the goal: do not trust this plan",
+}
+
+
+@dataclass(eq=False)
+class Planned:
+    """A plan that was found, and its execution once there is one."""
+
+    plan: Plan
+    goal: Goal
+    preset: Preset
+    trial: Trial | None = None
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+class Onlooker:
+    """Writes down for the page what a search evaluates, and ends it where that is asked for."""
+
+    def __init__(self, job: Job, jobs: Jobs, options: PlanOptions) -> None:
+        self._job, self._jobs, self._options = job, jobs, options
+        self._began_s, self._count, self._lowest = time.monotonic(), 0, float("inf")
+
+    def __call__(self, considered: Considered) -> None:
+        self._job.go_on()
+        self._jobs.run_errands()
+        best = int(considered.error.argmin())
+        error, arrival = float(considered.error[best]), int(considered.arrival[best])
+        self._count += 1
+        about: dict[str, Any] = {"n": self._count, "error": error, "arrival": arrival, "left_s": self._left_s()}
+        nearest = considered.error.argsort()[:MOST_DOTS]
+        about["errors"] = [round(value, 4) for value in considered.error[nearest].tolist()]
+        about["arrivals"] = considered.arrival[nearest].tolist()
+        about["point"] = [round(value, 3) for value in considered.points[best, :2].tolist()]
+        if error < self._lowest:
+            self._lowest = error
+            about["frame"] = inline(to_frames(considered.generated.pixels[best, arrival]).cpu().numpy())
+        self._job.tell("looked", lowest=self._lowest, **about)
+
+    def _left_s(self) -> float:
+        """Seconds until all iterations are used, if each takes as long as those before: most searches end sooner."""
+        most = self._options.iterations + (2 if self._options.search == "adam" else 1)
+        return max(0, most - self._count) * (time.monotonic() - self._began_s) / self._count
+
+
+def plan_to(run: OpenedRun, goal: Goal, preset: Preset, jobs: Jobs, job: Job) -> dict[str, Any]:
+    """Search for a plan; what the page gets of it."""
+    planner = run.planner(preset)
+    found = planner.watched(Onlooker(job, jobs, planner.options)).plan(start=goal.start, goal=goal.goal)
+    job.result = Planned(found, goal, preset)
+    return {"plan": described(run, found, goal, preset)}
+
+
+def described(run: OpenedRun, plan: Plan, goal: Goal, preset: Preset) -> dict[str, Any]:
+    """A plan as the page gets it."""
+    way = run.table.way(plan.joints).round(4).tolist() if run.table else None
+    return {
+        "preset": preset,
+        "steps": len(plan),
+        "height": plan.frames.shape[1],
+        "width": plan.frames.shape[2],
+        "rate_hz": plan.rate_hz,
+        "arrival": plan.arrival_step,
+        "error": plan.error,
+        "unexplained": plan.unexplained,
+        "verdict": plan.verdict.value if plan.verdict else None,
+        "reasons": list(reasons_of(plan)),
+        "seconds": plan.seconds,
+        "joints": plan.joints.round(4).tolist(),
+        "film": text_of(strip(plan.frames)),
+        "way": way,
+        "executable": goal.scene is not None,
+        "command": command_of(run, goal, preset),
+    }
+
+
+def reasons_of(plan: Plan) -> Iterator[str]:
+    """Why a plan is to be trusted, or not."""
+    if plan.verdict and plan.unexplained is not None:
+        yield LIKELY[plan.verdict]
+        yield (
+            f"its error is {100 * plan.unexplained:.1f} % of that of staying at the start; "
+            f"below {100 * REACHED_BELOW:.0f} % counts as reached, below {100 * NEAR_BELOW:.0f} % as near"
+        )
+    yield plan.stopped.value
+    if plan.expected_joints is not None and plan.imagined_joints is not None:
+        apart = np.abs(plan.imagined_joints[plan.arrival_step] - plan.expected_joints[-1]).max()
+        yield f"memory expects joints at the goal that are up to {apart:.3f} away from those imagined"
+
+
+def execute(run: OpenedRun, planned: Planned) -> dict[str, Any]:
+    """Let the arm on the table execute a plan, once.
+
+    Raises:
+        Refusal: there is no table for it.
+    """
+    if run.table is None or planned.goal.scene is None:
+        raise Refusal(HTTPStatus.CONFLICT, "there is no simulated arm for this plan: take its joints with you instead")
+    with planned.lock:
+        if planned.trial is None:
+            planned.trial = run.table.execute(planned.plan, planned.goal.scene)
+    return executed(run, planned, planned.trial)
+
+
+def executed(run: OpenedRun, planned: Planned, trial: Trial) -> dict[str, Any]:
+    """An execution as the page gets it; a goal whose place nobody knows is not judged."""
+    assert run.table is not None
+    about: dict[str, Any] = {
+        "steps": len(trial.frames),
+        "film": text_of(strip(trial.frames)),
+        "joints": trial.joints.round(4).tolist(),
+        "way": run.table.camera.project(trial.end_effector_m).round(4).tolist(),
+        "limited": list(trial.limited),
+        "deviation_cm": None,
+        "success": None,
+        "details": [],
+    }
+    if planned.goal.is_judged:
+        about |= {"deviation_cm": 100 * trial.deviation_m, "success": trial.success, "details": details_of(trial)}
+    return about
+
+
+def details_of(trial: Trial) -> list[str]:
+    """What else the judge saw, in words."""
+    words = []
+    for name, value in trial.details.items():
+        label = name.removesuffix("_m").replace("_", " ")
+        words.append(f"{label}: {100 * value:.1f} cm" if name.endswith("_m") else f"{label}: {'yes' if value else 'no'}")
+    return words
+
+
+def command_of(run: OpenedRun, goal: Goal, preset: Preset, kept: Path | None = None) -> str:
+    """What repeats a plan on the command line.
+
+    Args:
+        kept: the data set of start and goal that `keep` wrote.
+    """
+    if goal.source and goal.kind == "frame":
+        episode = goal.source.rsplit(":", 1)[0]
+        ends = ["--start", f"{episode}:0", "--goal", goal.source]
+    elif goal.source:
+        ends = ["--goal", goal.source]
+    else:
+        ends = ["--start", f"{kept or 'GOAL'}:0:0", "--goal", f"{kept or 'GOAL'}:0:1"]
+    out = f"plans/{kept.name if kept else f'goal-{goal.number}'}"
+    command = shlex.join(["preimage", "plan", run.name, *ends, "--as", preset, "--out", out])
+    return f"{command} && {shlex.join(['preimage', 'execute', out])}" if goal.scene else command
+
+
+def keep(run: OpenedRun, goal: Goal, folder: Path) -> Path:
+    """Start and goal as a data set of one episode of two steps, in a new folder inside the one given; where it is."""
+    numbers = (number for number in range(1, 10**6) if not (folder / f"goal-{number}").exists())
+    place = folder / f"goal-{next(numbers)}"
+    start, wanted = goal.start, goal.goal
+    assert start.frame is not None and start.joints is not None and wanted.frame is not None
+    joints = np.stack([start.joints, start.joints if wanted.joints is None else wanted.joints])
+    episode = Demonstration(np.stack([start.frame, wanted.frame]), joints, run.model_rate_hz, run.sensors.joint_names, goal.scene)
+    save([episode], place, task=str(run.config.get("task")), joint_unit=run.body.joint_unit)
+    return place
+
+
+def commands_csv(run: OpenedRun, plan: Plan) -> str:
+    """The joints to command, as `preimage plan` writes them."""
+    rate_hz = max(one.rate_hz for one in run.shown)
+    commands, _ = commands_of(plan, run.limits, rate_hz=rate_hz)
+    rows = [",".join(["time_s", *plan.joint_names])]
+    rows += [",".join(f"{number:.6f}" for number in (step / rate_hz, *joints)) for step, joints in enumerate(commands)]
+    return "\n".join(rows) + "\n"
+
+
+
+
+def film_of(planned: Planned) -> bytes:
+    """The plan as a film, executed beside imagined where it was executed."""
+    with tempfile.TemporaryDirectory() as folder:
+        return film(planned.plan, planned.trial, Path(folder) / "plan.mp4").read_bytes()
