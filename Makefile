@@ -1,4 +1,4 @@
-# Everything a clone needs: `make demo` and `make test` set up .venv by themselves, once.
+# Everything a clone needs: `make demo`, `make studio` and `make test` set up .venv by themselves, once.
 # Another Python: make demo PYTHON=python3.12
 
 PYTHON ?= python3
@@ -6,10 +6,13 @@ VENV := .venv
 RUN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test fast slow check clean
+.PHONY: demo studio test fast slow check clean
 
 demo: $(READY)
 	$(RUN)/preimage demo
+
+studio: $(READY)
+	$(RUN)/preimage studio --open
 
 # A process a core, each with one thread: torch's threads would wait for one another.
 PYTEST = OMP_NUM_THREADS=1 $(RUN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile

@@ -9,7 +9,9 @@ from types import ModuleType
 import preimage
 
 ROOT = Path(preimage.__file__).parent
-NEEDED = {"gym.py": "gymnasium"} | dict.fromkeys(("simd.py", "convolution.py", "compiled.py", "program.py"), "numba")
+NEEDED = {"gym.py": "gymnasium", "closed.py": "starlette"} | dict.fromkeys(
+    ("simd.py", "convolution.py", "compiled.py", "program.py"), "numba"
+)
 """The libraries of files that may not be there."""
 WITH_EXAMPLES = sorted(path for path in ROOT.rglob("*.py") if ">>> " in path.read_text())
 

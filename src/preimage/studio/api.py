@@ -127,7 +127,7 @@ def add_goals(api: APIRouter, studio: Studio) -> None:
 
     @api.post("/goals/picture", status_code=201, summary="A goal from a picture: its bytes, PNG, JPEG, WebP, BMP or TIFF")
     def picture(
-        content: Annotated[bytes, Body(media_type="application/octet-stream")],
+        content: Annotated[bytes, Body(media_type="application/octet-stream")] = b"",
         seed: Annotated[int, Query(ge=0, lt=MOST_SEEDS)] = 0,
         x_name: Annotated[str, Header(description="name of the file, percent-encoded")] = "picture",
     ) -> dict[str, Any]:

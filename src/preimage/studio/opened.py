@@ -14,11 +14,12 @@ from preimage.network.config import Sensors
 from preimage.studio.table import Table
 
 WAYS: dict[Preset, str] = {
-    "paper": "the paper's search: Adam from random intentions, nothing remembered, nothing corrected",
-    "regression": "network and search without memory: Gauss-Newton from the nearest training intentions",
-    "full": "all ideas: begins where memory points to, and is corrected at the end",
+    "paper": "The paper: Adam from random intentions, nothing remembered, nothing corrected.",
+    "regression": "Network and search without memory: Gauss-Newton from the nearest training intentions.",
+    "full": "All ideas: it begins where memory points to, and is corrected at the end.",
 }
-LATENT_AS_PAPER = "; this network's intention is latent, so that of the paper it is the search alone"
+"""What each preset does, for the page."""
+LATENT_AS_PAPER = " Of the paper it is the search alone, for this network's intention is latent."
 
 
 class OpenedRun:
@@ -110,4 +111,13 @@ class OpenedRun:
         view = {key: value for key, value in asdict(self.view).items() if key in ("recorded", "crop", "size")}
         task = self.table.task.name if self.table else self.config.get("task")
         table = self.table.described() if self.table else None
-        return {"run": self.name, "task": task, "made": made, "joints": joints, "presets": presets, "frame": frame, "view": view, "table": table}
+        return {
+            "run": self.name,
+            "task": task,
+            "made": made,
+            "joints": joints,
+            "presets": presets,
+            "frame": frame,
+            "view": view,
+            "table": table,
+        }

@@ -199,8 +199,6 @@ def commands_csv(run: OpenedRun, plan: Plan) -> str:
     return "\n".join(rows) + "\n"
 
 
-
-
 def film_of(planned: Planned) -> bytes:
     """The plan as a film, executed beside imagined where it was executed."""
     with tempfile.TemporaryDirectory() as folder:

@@ -41,7 +41,9 @@ class Recordings:
         if len(self._folders) < len(folders):
             raise ValueError(f"two of the data sets have the same name ({', '.join(self._folders)}): rename one, or leave it out")
         self.descriptions = {name: describe(folder) for name, folder in self._folders.items()}
-        self._views = {name: view if set(view.joints or ()) <= set(about.joint_names) else View() for name, about in self.descriptions.items()}
+        self._views = {
+            name: view if set(view.joints or ()) <= set(about.joint_names) else View() for name, about in self.descriptions.items()
+        }
         self._read: OrderedDict[tuple[str, int], Demonstration] = OrderedDict()
         self._examined: dict[str, Examination] = {}
         self._lock = threading.Lock()
@@ -73,7 +75,13 @@ class Recordings:
     def listed(self) -> list[dict[str, Any]]:
         """The data sets as the page gets them."""
         return [
-            {"name": name, "folder": str(self._folders[name]), "episodes": list(episode_numbers(self._folders[name])), "rate_hz": about.rate_hz, "version": about.version}
+            {
+                "name": name,
+                "folder": str(self._folders[name]),
+                "episodes": list(episode_numbers(self._folders[name])),
+                "rate_hz": about.rate_hz,
+                "version": about.version,
+            }
             for name, about in self.descriptions.items()
         ]
 

@@ -60,8 +60,15 @@ class Table:
 
     def described(self) -> dict[str, Any]:
         """What the page has to know of it."""
-        asks = "Click where the circle shall lie that the object belongs in" if self.goal_name == "circle" else "Click where the hand shall go"
-        return {"task": self.task.name, "asks": asks, "tolerance_cm": 100 * self.task.tolerance_m, "things": list(self.task.workspace.things)}
+        asks = (
+            "Click where the circle shall lie that the object belongs in" if self.goal_name == "circle" else "Click where the hand shall go"
+        )
+        return {
+            "task": self.task.name,
+            "asks": asks,
+            "tolerance_cm": 100 * self.task.tolerance_m,
+            "things": list(self.task.workspace.things),
+        }
 
     def scene(self, seed: int) -> Scene:
         """What lies on the table by a seed; the arm waits exactly at home."""
@@ -88,7 +95,9 @@ class Table:
             raise ValueError(f"the arm does not get there ({where}): click within the line")
         for name, position in scene.positions_m.items():
             if name != self.goal_name and apart_m(place, position) < self._apart_m:
-                raise ValueError(f"that is too near to the {name.replace('_', ' ')}: click {100 * self._apart_m:.0f} cm or more away from it")
+                raise ValueError(
+                    f"that is too near to the {name.replace('_', ' ')}: click {100 * self._apart_m:.0f} cm or more away from it"
+                )
         return replace(scene, positions_m={**scene.positions_m, self.goal_name: tuple(place.tolist())})
 
     def start(self, scene: Scene) -> Percept:
@@ -148,5 +157,3 @@ class Table:
         above = grasping_joints(at_height(place[:2], CARRY_M))
         positions_m[OBJECT] = (*place[:2].tolist(), OBJECT_HEIGHT_M / 2)
         self._arm.reset(np.append(above, GRIPPER_OPEN_M), positions_m)
-
-

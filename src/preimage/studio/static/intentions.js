@@ -55,7 +55,7 @@ function build(section) {
       make(
         "div",
         { class: "search" },
-        make("figure", {}, make("canvas", { id: "intention-film", width: 64, height: 64, role: "img", "aria-label": "The film imagined from the point" }), make("figcaption", { id: "intention-words", role: "status" }, "")),
+        make("figure", {}, make("canvas", { id: "intention-film", width: 64, height: 64, role: "img", "aria-label": "The film imagined from the point" }), make("figcaption", {}, make("output", { id: "intention-words" }))),
         make("div", { class: "row aside" }, make("canvas", { id: "intention-end", width: 64, height: 64, role: "img", "aria-label": "How the sequence next to the pointer ends" }), make("p", { class: "hint", id: "end-words" }, "The nearest training sequence ends like this.")),
       ),
     ),

@@ -278,8 +278,7 @@ function drawErrors(width, height) {
   const end = lowest.at(-1);
   return [
     ...grid, frame, ...dots, line(lowest, { class: "lowest" }), shape("circle", { cx: end[0], cy: end[1], r: 5, class: "best" }),
-    words("evaluations", width - right, height - 4, { class: "tick end" }), words("1", left + 8, height - 4, { class: "tick middle" }),
-    seen.length > 3 && words(`${seen.length}`, x(seen.length) - (width - x(seen.length) < 90 ? 78 : 0), height - 4, { class: "tick middle" }),
+    words("1", left + 8, height - 4, { class: "tick middle" }), words(seen.length > 1 ? `${seen.length} evaluations` : "1 evaluation", width - right, height - 4, { class: "tick end" }),
   ];
 }
 
@@ -289,7 +288,7 @@ function drawArrivals(width, height) {
   const x = scale(0, steps - 1, 14, width - 14);
   const y = height / 2 - 6;
   const marks = Array.from({ length: steps }, (_, step) => shape("circle", { cx: x(step), cy: y, r: 1.6, class: "tickmark" }));
-  const base = [line([[14, y], [width - 14, y]], { class: "axis" }), ...marks, words("start", 8, height - 3, { class: "tick" }), words("horizon", width - 8, height - 3, { class: "tick end" })];
+  const base = [line([[14, y], [width - 14, y]], { class: "axis" }), ...marks, (!last || x(last.arrival) > 120) && words("start", 8, height - 3, { class: "tick" }), (!last || x(last.arrival) < width - 140) && words("horizon", width - 8, height - 3, { class: "tick end" })];
   if (!last) return base;
   const others = last.arrivals.map((step) => shape("circle", { cx: x(step), cy: y, r: 4, class: "dot" }));
   return [...base, ...others, shape("circle", { cx: x(last.arrival), cy: y, r: 7, class: "best" }), words(`arrives at step ${last.arrival}`, Math.min(Math.max(x(last.arrival), 66), width - 66), height - 3, { class: "tick middle strong" })];

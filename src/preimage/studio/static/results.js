@@ -4,6 +4,7 @@ import { get } from "./api.js";
 import { $, make } from "./draw.js";
 
 const FILTERS = ["task", "preset", "loop"];
+const HEADS = ["task", "shown", "preset", "loop", "reached", "95 % interval", "median off", "seed"];
 
 let rows = [];
 
@@ -13,12 +14,11 @@ export async function prepare() {
     const values = [...new Set(rows.map((row) => row[name] ?? "full"))].sort();
     return make("label", {}, `${name} `, make("select", { id: `only-${name}`, onchange: fill }, make("option", { value: "" }, "all"), ...values.map((value) => make("option", { value }, value))));
   });
-  const heads = ["task", "shown", "preset", "loop", "reached", "95 % interval", "median off", "seed"];
   $("results").replaceChildren(
     make("h1", { id: "results-title" }, "What was measured"),
     make("p", { class: "lead" }, "Goals that were never shown, executed in simulation. A rate alone says little: the bar spans its 95 % interval."),
     make("div", { class: "row" }, ...filters),
-    make("div", { class: "table" }, make("table", {}, make("thead", {}, make("tr", {}, ...heads.map((head) => make("th", { scope: "col" }, head)))), make("tbody", { id: "result-rows" }))),
+    make("div", { class: "table" }, make("table", {}, make("thead", {}, make("tr", {}, ...HEADS.map((head) => make("th", { scope: "col" }, head)))), make("tbody", { id: "result-rows" }))),
     make("div", { class: "command" }, make("h3", {}, "The command of the chosen row"), make("code", { id: "result-command", role: "status" }, "choose a row")),
   );
   fill();
@@ -43,5 +43,5 @@ function tableRow(row) {
   bar.append(part("rect", { x: 0, y: 2, width: 100, height: 6, rx: 3, class: "all" }), part("rect", { x: low, y: 2, width: Math.max(1, high - low), height: 6, rx: 3, class: "span" }), part("circle", { cx: (100 * row.success) / row.goals, cy: 5, r: 4, class: "best" }));
   const show = make("button", { type: "button", class: "link", onclick: () => ($("result-command").textContent = row.command ?? `${row.name}.json does not say which command made it`) }, row.task);
   const cells = [row.num_demonstrations ?? "", row.preset ?? "full", row.loop ?? "", `${row.success}/${row.goals}`, bar, row.deviation_cm == null ? "" : `${row.deviation_cm.toFixed(1)} cm`, row.seed ?? ""];
-  return make("tr", {}, make("th", { scope: "row" }, show), ...cells.map((cell) => make("td", {}, typeof cell === "number" ? `${cell}` : cell)));
+  return make("tr", {}, make("th", { scope: "row" }, show), ...cells.map((cell, column) => make("td", { "data-head": HEADS[column + 1] }, typeof cell === "number" ? `${cell}` : cell)));
 }

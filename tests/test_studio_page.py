@@ -1,0 +1,195 @@
+"""The studio's page in a real browser: what a person clicks, drops, stops and reads, by mouse and by keyboard alone."""
+
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from PIL import Image
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.slow
+pytest.importorskip("fastapi", reason="the extra studio is not installed: pip install -e '.[studio]'")
+api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: pip install -e '.[test]'")
+if CHROMIUM is None:
+    pytest.skip("no Chromium is here to try the page in: apt-get install chromium", allow_module_level=True)
+
+PATIENCE_MS = 180_000
+"""How long a step of the page may take on a machine that does other work."""
+QUIET = ["--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+
+
+@pytest.fixture(scope="module")
+def address(run_folder, data, tmp_path_factory):
+    """The page of a tiny network on the simulated table."""
+    words = ["studio", run_folder, "--data", data, "--runs", run_folder.parent, "--work", tmp_path_factory.mktemp("work"), "--port", "0"]
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "preimage", *map(str, words)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment) as server:
+        assert server.stdout is not None
+        told = server.stdout.readline()
+        yield told.removeprefix("open ").strip()
+        server.terminate()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    alone = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
+    with api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=[*QUIET, *alone])
+        yield browser
+        browser.close()
+
+
+@contextmanager
+def visit(browser, address, *, width=1440, wrong=(), **more):
+    """A visit of the page, which asks nobody else for anything and complains of nothing but what is expected."""
+    context = browser.new_context(viewport={"width": width, "height": 900}, **more)
+    context.set_default_timeout(PATIENCE_MS)
+    outside, complaints = [], []
+    context.on("request", lambda asked: outside.append(asked.url) if not asked.url.startswith((address, "blob:", "data:")) else None)
+    context.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
+    context.on("weberror", lambda error: complaints.append(str(error.error)))
+    page = context.new_page()
+    page.goto(address)
+    page.wait_for_selector("#scene.shown")
+    yield page
+    context.close()
+    assert not outside
+    assert not [text for text in complaints if not any(status in text for status in wrong)]
+
+
+def click_table(page, across=0.5, down=0.6):
+    box = page.locator("#scene").bounding_box()
+    page.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
+
+
+def found(page):
+    page.wait_for_selector("#found:not([hidden])")
+
+
+def findings(page) -> list[str]:
+    """What axe has against the page as it is."""
+    from axe_core_python.sync_playwright import Axe
+
+    told = Axe().run(page)["violations"]
+    return [f"{each['id']}: {each['nodes'][0]['html'][:120]}" for each in told]
+
+
+def sideways(page) -> bool:
+    """Whether the page has to be scrolled sideways."""
+    return page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth")
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (360, "dark")])
+def test_click_then_film_then_execution(browser, address, width, scheme):
+    with visit(browser, address, width=width, color_scheme=scheme) as page:
+        assert findings(page) == []
+        click_table(page)
+        page.wait_for_selector("#errors .best")
+        found(page)
+        assert page.locator("#deviation").inner_text().startswith("Nothing has moved yet")
+        assert page.locator("#film-executed.shown").count() == 0
+        page.click("#execute")
+        page.wait_for_selector("#film-executed.shown")
+        assert re.search(r"\d+\.\d cm off", page.locator("#deviation").inner_text())
+        assert findings(page) == []
+        assert not sideways(page)
+        for name in ("intentions", "demonstrations", "training"):
+            page.click(f"nav a[href='#/{name}']")
+            page.wait_for_selector({"intentions": "#intention-film.shown", "demonstrations": "#findings li", "training": "#runs svg"}[name])
+            assert findings(page) == [], name
+            assert not sideways(page), name
+
+
+def test_a_picture_is_uploaded_and_one_that_is_none_gets_a_sentence(browser, address):
+    with visit(browser, address, wrong=("422",)) as page:
+        bad = {"name": "notes.png", "mimeType": "image/png", "buffer": b"no picture"}
+        page.set_input_files("#file", files=[bad])
+        page.wait_for_selector("#trouble:not([hidden])")
+        assert page.locator("#trouble").inner_text().startswith("Notes.png is not an image that can be read")
+        file = io.BytesIO()
+        Image.fromarray(np.full((64, 64), 90, np.uint8)).save(file, "PNG")
+        page.set_input_files("#file", files=[{"name": "goal.png", "mimeType": "image/png", "buffer": file.getvalue()}])
+        found(page)
+        assert page.locator("#trouble").is_hidden()
+
+
+def test_a_plan_is_stopped_and_goes_on_through_a_reload(browser, address):
+    with visit(browser, address) as page:
+        page.click("label[for=preset-paper]")
+        click_table(page)
+        page.wait_for_selector("#errors .best")
+        page.reload()
+        page.wait_for_selector("#errors .best")
+        assert "job=" in page.evaluate("location.hash")
+        found(page)
+        page.click("#go")
+        page.wait_for_selector("#errors .best")
+        page.click("#stop")
+        page.wait_for_function("() => /stopped/.test(document.getElementById('status').textContent)")
+        assert page.locator("#found").is_hidden()
+
+
+def test_two_tabs_have_each_their_own_plan(browser, address):
+    with visit(browser, address) as page:
+        other = page.context.new_page()
+        other.goto(address)
+        other.wait_for_selector("#scene.shown")
+        click_table(page, 0.4)
+        click_table(other, 0.6)
+        found(page)
+        found(other)
+        assert page.evaluate("location.hash") != other.evaluate("location.hash")
+
+
+def test_everything_can_be_done_by_keyboard_alone(browser, address):
+    with visit(browser, address, reduced_motion="reduce") as page:
+        reach(page, "table")
+        for key in ("ArrowRight", "ArrowRight", "ArrowDown"):
+            page.keyboard.press(key)
+        page.keyboard.press("Enter")
+        found(page)
+        reach(page, "execute")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#film-executed.shown")
+        reach(page, "head")
+        page.keyboard.press("ArrowRight")
+        assert page.locator("#head-words").inner_text().startswith("step 1 of")
+        assert page.locator("#play").get_attribute("aria-label") == "Play"  # nothing plays by itself where no motion is wanted
+
+
+def reach(page, name: str) -> None:
+    """Press Tab until an element has the focus."""
+    for _ in range(60):
+        if page.evaluate("document.activeElement.id") == name:
+            return
+        page.keyboard.press("Tab")
+    raise AssertionError(f"{name} is not reached by the Tab key")
+
+
+def test_a_point_is_dragged_in_the_plane_of_intentions_and_the_film_follows(browser, address):
+    with visit(browser, address) as page:
+        page.click("nav a[href='#/intentions']")
+        page.wait_for_selector("#intention-film.shown")
+        before = page.locator("#intention-words").inner_text()
+        box = page.locator("#plane").bounding_box()
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.mouse.down()
+        page.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 3, steps=4)
+        page.mouse.up()
+        page.wait_for_function("before => document.getElementById('intention-words').textContent !== before", arg=before)
+
+
+def test_a_frame_of_a_demonstration_is_taken_as_the_goal(browser, address):
+    with visit(browser, address) as page:
+        page.click("#from-frame")
+        page.wait_for_selector("#frame-preview.shown")
+        page.click("#frame-chooser .chief")
+        found(page)
+        assert ":0:" in page.locator("#command").inner_text()
