@@ -1,16 +1,15 @@
 """The run that the studio was opened with: its network, ready to plan by each preset, and the table of its task where there is one."""
 
 import threading
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
+from preimage.network.config import Sensors
 from preimage.presets import MEMORY, Planner, PlanOptions, Preset, load_memory
 from preimage.robot import TASKS, Arm
 from preimage.robot.limits import Limits, limits_seen
 from preimage.storage.runs import find_run, load_model, made_from, read_body, read_config, read_settings, read_shown, read_view
-from preimage.network.config import Sensors
 from preimage.studio.table import Table
 
 WAYS: dict[Preset, str] = {
@@ -106,18 +105,14 @@ class OpenedRun:
             for name, unit, low, high in zip(limits.joint_names, self.units, limits.lower.tolist(), limits.upper.tolist(), strict=True)
         ]
         presets = [{"name": preset, "way": self.way_of(preset)} for preset in self.presets]
-        made = made_from(self.folder)
-        frame = {"height": self.sensors.height, "width": self.sensors.width, "channels": self.sensors.channels}
         view = {key: value for key, value in asdict(self.view).items() if key in ("recorded", "crop", "size")}
-        task = self.table.task.name if self.table else self.config.get("task")
-        table = self.table.described() if self.table else None
         return {
             "run": self.name,
-            "task": task,
-            "made": made,
+            "task": self.table.task.name if self.table else self.config.get("task"),
+            "made": made_from(self.folder),
             "joints": joints,
             "presets": presets,
-            "frame": frame,
+            "frame": {"height": self.sensors.height, "width": self.sensors.width, "channels": self.sensors.channels},
             "view": view,
-            "table": table,
+            "table": self.table.described() if self.table else None,
         }

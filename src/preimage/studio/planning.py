@@ -183,7 +183,9 @@ def keep(run: OpenedRun, goal: Goal, folder: Path) -> Path:
     numbers = (number for number in range(1, 10**6) if not (folder / f"goal-{number}").exists())
     place = folder / f"goal-{next(numbers)}"
     start, wanted = goal.start, goal.goal
-    assert start.frame is not None and start.joints is not None and wanted.frame is not None
+    assert start.frame is not None, "a start is seen"
+    assert start.joints is not None, "and felt"
+    assert wanted.frame is not None, "a goal is a picture"
     joints = np.stack([start.joints, start.joints if wanted.joints is None else wanted.joints])
     episode = Demonstration(np.stack([start.frame, wanted.frame]), joints, run.model_rate_hz, run.sensors.joint_names, goal.scene)
     save([episode], place, task=str(run.config.get("task")), joint_unit=run.body.joint_unit)
