@@ -182,8 +182,14 @@ function showGoal(taken) {
   drawHand(0);
 }
 
-function forget() {
+/** Whoever leaves a plan that is still searched for stops it. */
+function letGo() {
   listening?.abort();
+  if (job && !$("stop").hidden) post(`jobs/${job}/stop`).catch(() => {}); // it may have ended meanwhile
+}
+
+function forget() {
+  letGo();
   goal = job = found = executed = null;
   seen = [];
   $("found").hidden = $("execute").hidden = true;
@@ -213,7 +219,7 @@ async function comeBack(id) {
 }
 
 function follow(id, execution = null) {
-  listening?.abort();
+  letGo();
   listening = new AbortController();
   [job, found, executed, seen] = [id, null, null, []];
   $("found").hidden = $("execute").hidden = true;
