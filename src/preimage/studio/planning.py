@@ -17,7 +17,6 @@ from preimage.ideas.watched import Considered
 from preimage.network.coding import to_frames
 from preimage.presets import PlanOptions, Preset
 from preimage.records import NEAR_BELOW, REACHED_BELOW, Demonstration, Plan, Trial, Verdict
-from preimage.report import film
 from preimage.robot.limits import commands_of
 from preimage.studio.goals import Goal
 from preimage.studio.jobs import Job, Jobs
@@ -204,5 +203,7 @@ def commands_csv(run: OpenedRun, plan: Plan) -> str:
 
 def film_of(planned: Planned) -> bytes:
     """The plan as a film, executed beside imagined where it was executed."""
+    from preimage.report import film  # matplotlib takes a second to load
+
     with tempfile.TemporaryDirectory() as folder:
         return film(planned.plan, planned.trial, Path(folder) / "plan.mp4").read_bytes()
