@@ -5,6 +5,7 @@ import json
 import re
 import threading
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -285,6 +286,8 @@ def test_the_joints_can_be_taken_along(page):
     assert rows[0] == "time_s,joint1,joint2,joint4,joint6"
     assert len(rows) > 2
     assert page.get(f"/api/jobs/{job}/film.mp4").content[4:8] == b"ftyp"
+    with zipfile.ZipFile(io.BytesIO(page.get(f"/api/jobs/{job}/lerobot.zip").content)) as archive:
+        assert "lerobot/meta/info.json" in archive.namelist()
 
 
 def test_a_run_without_a_simulator_plans_and_moves_nothing(own_page):

@@ -190,6 +190,10 @@ def add_plans(api: APIRouter, studio: Studio) -> None:
     def joints(key: str) -> PlainTextResponse:
         return PlainTextResponse(planning.commands_csv(run, studio.planned(key).plan), media_type="text/csv")
 
+    @api.get("/jobs/{key}/lerobot.zip", summary="The same as a LeRobotDataset of one episode, which lerobot-replay plays")
+    def episode(key: str) -> Response:
+        return Response(planning.episode_zip(run, studio.planned(key).plan), media_type="application/zip")
+
     @api.get("/jobs/{key}/film.mp4", summary="The film of a plan")
     def film(key: str) -> Response:
         planned = studio.planned(key)

@@ -1,6 +1,7 @@
 """A plan as a job: what the page sees while it is searched for, what it gets at the end, and what happens when it is executed."""
 
 import shlex
+import shutil
 import tempfile
 import threading
 import time
@@ -18,6 +19,7 @@ from preimage.network.coding import to_frames
 from preimage.presets import PlanOptions, Preset
 from preimage.records import NEAR_BELOW, REACHED_BELOW, Demonstration, Plan, Trial, Verdict
 from preimage.robot.limits import commands_of
+from preimage.storage.plans import save_episode
 from preimage.studio.goals import Goal
 from preimage.studio.jobs import Job, Jobs
 from preimage.studio.opened import OpenedRun
@@ -192,13 +194,26 @@ def keep(run: OpenedRun, goal: Goal, folder: Path) -> Path:
     return place
 
 
-def commands_csv(run: OpenedRun, plan: Plan) -> str:
-    """The joints to command, as `preimage plan` writes them."""
+def commanded(run: OpenedRun, plan: Plan) -> tuple[np.ndarray, float]:
+    """The joints to command within the limits of the demonstrations (S, J), and how many rows a second, as `preimage plan` writes them."""
     rate_hz = max(one.rate_hz for one in run.shown)
-    commands, _ = commands_of(plan, run.limits, rate_hz=rate_hz)
+    return commands_of(plan, run.limits, rate_hz=rate_hz)[0], rate_hz
+
+
+def commands_csv(run: OpenedRun, plan: Plan) -> str:
+    """The joints to command as a table."""
+    commands, rate_hz = commanded(run, plan)
     rows = [",".join(["time_s", *plan.joint_names])]
     rows += [",".join(f"{number:.6f}" for number in (step / rate_hz, *joints)) for step, joints in enumerate(commands)]
     return "\n".join(rows) + "\n"
+
+
+def episode_zip(run: OpenedRun, plan: Plan) -> bytes:
+    """The joints to command as a LeRobotDataset of one episode."""
+    commands, rate_hz = commanded(run, plan)
+    with tempfile.TemporaryDirectory() as folder:
+        save_episode(plan, Path(folder) / "lerobot", commands=commands, rate_hz=rate_hz, body=run.body)
+        return Path(shutil.make_archive(f"{folder}/episode", "zip", folder, "lerobot")).read_bytes()
 
 
 def film_of(planned: Planned) -> bytes:

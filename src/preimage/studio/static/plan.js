@@ -11,6 +11,7 @@ const TICKS = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200];
 let studio;
 let player;
 let seed = 0;
+let scene = null;
 let preset = "full";
 let goal = null;
 let job = null;
@@ -49,8 +50,8 @@ function remember() {
 // ---- the scene, and goals
 
 async function showScene() {
-  const scene = await get(`scene?seed=${seed}`);
-  await show($("scene"), scene.large ?? scene.start);
+  scene = await get(`scene?seed=${seed}`);
+  await showStart();
   $("asks").textContent = studio.table ? `${studio.table.asks}: it imagines the way there before anything moves.` : "Give it a picture of how things shall look in the end: it imagines the way there.";
   $("table").disabled = !studio.table;
   $("table").setAttribute("aria-label", studio.table ? "The table: arrow keys move the target, Enter plans to it" : "What the camera sees at the start");
@@ -59,6 +60,9 @@ async function showScene() {
   if (studio.table) await dim();
   drawHand(0);
 }
+
+/** Where the plan starts: on the table, or where the episode of a chosen frame does. */
+const showStart = () => show($("scene"), goal?.kind === "frame" ? goal.start : (scene.large ?? scene.start));
 
 async function dim() {
   const rows = await get("reachable");
@@ -178,6 +182,7 @@ function showGoal(taken) {
   if (goal.place) target = goal.place;
   $("go").disabled = false;
   show($("goal"), goal.goal).catch(trouble);
+  if (scene) showStart().catch(trouble);
   show($("film-goal"), goal.goal).catch(trouble);
   drawHand(0);
 }
@@ -261,9 +266,9 @@ function looked(event) {
 }
 
 function redrawSearch() {
-  const last = seen.at(-1);
-  $("error-now").textContent = last ? last.lowest.toPrecision(3) : "";
-  $("arriving-words").textContent = last ? `imagined arrival, step ${last.arrival}` : "imagined arrival";
+  const best = bestSeen();
+  $("error-now").textContent = best ? best.error.toPrecision(3) : "";
+  $("arriving-words").textContent = best ? `imagined arrival, step ${best.arrival}` : "imagined arrival";
   chart($("errors"), drawErrors);
   chart($("arrivals"), drawArrivals);
 }
@@ -288,16 +293,19 @@ function drawErrors(width, height) {
   ];
 }
 
+/** The evaluation with the lowest error so far, whose arrival is shown: it alone came with a picture. */
+const bestSeen = () => seen.findLast(({ frame }) => frame);
+
 function drawArrivals(width, height) {
-  const last = seen.at(-1);
+  const best = bestSeen();
   const steps = found?.steps ?? studio?.steps ?? 16;
   const x = scale(0, steps - 1, 14, width - 14);
   const y = height / 2 - 6;
   const marks = Array.from({ length: steps }, (_, step) => shape("circle", { cx: x(step), cy: y, r: 1.6, class: "tickmark" }));
-  const base = [line([[14, y], [width - 14, y]], { class: "axis" }), ...marks, (!last || x(last.arrival) > 120) && words("start", 8, height - 3, { class: "tick" }), (!last || x(last.arrival) < width - 140) && words("horizon", width - 8, height - 3, { class: "tick end" })];
-  if (!last) return base;
-  const others = last.arrivals.map((step) => shape("circle", { cx: x(step), cy: y, r: 4, class: "dot" }));
-  return [...base, ...others, shape("circle", { cx: x(last.arrival), cy: y, r: 7, class: "best" }), words(`arrives at step ${last.arrival}`, Math.min(Math.max(x(last.arrival), 66), width - 66), height - 3, { class: "tick middle strong" })];
+  const base = [line([[14, y], [width - 14, y]], { class: "axis" }), ...marks, (!best || x(best.arrival) > 120) && words("start", 8, height - 3, { class: "tick" }), (!best || x(best.arrival) < width - 140) && words("horizon", width - 8, height - 3, { class: "tick end" })];
+  if (!best) return base;
+  const others = seen.at(-1).arrivals.map((step) => shape("circle", { cx: x(step), cy: y, r: 4, class: "dot" }));
+  return [...base, ...others, shape("circle", { cx: x(best.arrival), cy: y, r: 7, class: "best" }), words(`arrives at step ${best.arrival}`, Math.min(Math.max(x(best.arrival), 66), width - 66), height - 3, { class: "tick middle strong" })];
 }
 
 // ---- what came of it
@@ -319,6 +327,7 @@ async function showPlan(plan, execution) {
   $("command-words").textContent = plan.command.includes("GOAL:") ? "Copy keeps start and goal on disk first, and puts their place for GOAL." : "";
   $("downloads").replaceChildren(
     make("button", { type: "button", onclick: () => download(`jobs/${job}/joints.csv`, "joints.csv").catch(trouble) }, "Joints (CSV)"),
+    make("button", { type: "button", onclick: () => download(`jobs/${job}/lerobot.zip`, "lerobot.zip").catch(trouble) }, "Episode (LeRobot)"),
     make("button", { type: "button", onclick: () => download(`jobs/${job}/film.mp4`, "plan.mp4").catch(trouble) }, "Film (MP4)"),
   );
   clear($("film-executed"));
