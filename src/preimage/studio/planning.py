@@ -13,7 +13,11 @@ from typing import Any
 
 import numpy as np
 
+<<<<<<< HEAD
 from preimage.storage.recordings import save
+=======
+from preimage.data.lerobot_writer import save
+>>>>>>> wS
 from preimage.ideas.watched import Considered
 from preimage.network.coding import to_frames
 from preimage.presets import PlanOptions, Preset
