@@ -6,11 +6,7 @@ VENV := .venv
 RUN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-<<<<<<< HEAD
 .PHONY: demo studio test fast slow check fuzz kills clean
-=======
-.PHONY: demo studio test fast slow check clean
->>>>>>> wS
 
 demo: $(READY)
 	$(RUN)/preimage demo

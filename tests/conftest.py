@@ -16,14 +16,11 @@ from jaxtyping import config, install_import_hook
 settings.register_profile("preimage", deadline=None)  # a busy machine is no failure
 settings.load_profile("preimage")
 
-<<<<<<< HEAD
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--kills", type=int, default=20, help="how often a training is killed (`make kills`: 100)")
 
 
-=======
->>>>>>> wS
 LEFT_OUT = {"robot", "fast", "studio", "method/plan.py", "network/linear.py", "network/cells.py"}
 """Wings and rooms whose tests hand them wrong shapes to read the refusal, whose annotations are narrower than what they pass on, whose
 small functions are called at every step of every layer and would take the suite past its time, whose functions numba reads as they are,

@@ -78,7 +78,6 @@ def test_an_idea_imports_no_other_than_what_it_is_made_of():
     assert {name: used for name, used in others.items() if used} == MADE_OF
 
 
-<<<<<<< HEAD
 WIRES_NOTHING = {
     "preimage.ideas.waypoints.join",
     "preimage.ideas.memory.DemonstrationMemory",
@@ -87,10 +86,6 @@ WIRES_NOTHING = {
 }
 """What joins plans that were made, what is kept of demonstrations, what was learned of trust in plans, and what a search tells of itself,
 anyone may name."""
-=======
-WIRES_NOTHING = {"preimage.ideas.waypoints.join", "preimage.ideas.memory.DemonstrationMemory", "preimage.ideas.watched.Considered"}
-"""What joins plans that were made, what is kept of demonstrations, and what a search tells of itself, anyone may name."""
->>>>>>> wS
 
 
 def test_presets_alone_wire_ideas_into_the_method():

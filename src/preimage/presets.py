@@ -10,12 +10,8 @@
 
 from collections.abc import Callable, Sequence
 from copy import copy
-<<<<<<< HEAD
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-=======
-from dataclasses import dataclass, replace
->>>>>>> wS
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self, get_args
 
@@ -33,10 +29,7 @@ if TYPE_CHECKING:
     from preimage.ideas.memory import DemonstrationMemory
     from preimage.ideas.replanning import Replanner
     from preimage.ideas.test_time_augmentation import TestTimeAugmentation
-<<<<<<< HEAD
     from preimage.ideas.trust import Assessment
-=======
->>>>>>> wS
     from preimage.ideas.watched import See
     from preimage.method.one_step import Policy
     from preimage.method.plan import Recognition
@@ -261,12 +254,6 @@ class Planner:
         fits = known is not None and dict(known.plan) == options
         otherwise = known is not None and not fits
         return Assessment(self.model, self.memory if self.options.needs_memory else None, known if fits else None, otherwise)
-
-    def watched(self, see: "See") -> "Planner":
-        """The same planner, whose searches report every point they evaluate (`ideas.watched`)."""
-        planner = copy(self)
-        planner.ideas = self.options.ideas(self.memory, see)
-        return planner
 
     def watched(self, see: "See") -> "Planner":
         """The same planner, whose searches report every point they evaluate (`ideas.watched`)."""

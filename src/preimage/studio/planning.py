@@ -13,17 +13,13 @@ from typing import Any
 
 import numpy as np
 
-<<<<<<< HEAD
-from preimage.storage.recordings import save
-=======
-from preimage.data.lerobot_writer import save
->>>>>>> wS
 from preimage.ideas.watched import Considered
 from preimage.network.coding import to_frames
 from preimage.presets import PlanOptions, Preset
 from preimage.records import NEAR_BELOW, REACHED_BELOW, Demonstration, Plan, Trial, Verdict
 from preimage.robot.limits import commands_of
 from preimage.storage.plans import save_episode
+from preimage.storage.recordings import save
 from preimage.studio.goals import Goal
 from preimage.studio.jobs import Job, Jobs
 from preimage.studio.opened import OpenedRun
