@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from preimage.compute.processes import ProcessGroup
     from preimage.ideas.calibration import Calibration
+    from preimage.ideas.gauss_newton import GaussNewton
     from preimage.ideas.memory import DemonstrationMemory
     from preimage.ideas.replanning import Replanner
     from preimage.ideas.test_time_augmentation import TestTimeAugmentation
@@ -106,6 +107,10 @@ class PlanOptions(PlanConfig):
     """A plan is in doubt while its error is above this share of the error of staying at the start, expected joints included."""
     tolerance: float = 0.0
     """Share of the error of staying at the start at which a search by gauss_newton ends."""
+    least_gain: float = 0.2
+    """gauss_newton ends where a step with a fresh Jacobian lowers the error by less than this share of it."""
+    drop_above: float = 1.3
+    """gauss_newton drops candidates whose error is more than this many times the lowest."""
     finite_difference_step: float = 0.15
     """How far gauss_newton changes each number to see what it does, in standard deviations."""
     test_time_augmentation: float = 0.0
@@ -120,7 +125,8 @@ class PlanOptions(PlanConfig):
         validate(
             self,
             at_least=dict.fromkeys(("restarts", "restart_threshold", "tolerance", "test_time_augmentation"), 0),
-            above_zero=("finite_difference_step",),
+            above_zero=("finite_difference_step", "drop_above"),
+            shares=("least_gain",),
         )
         for name, known in {"search": ("adam", "gauss_newton"), "guess": ("random", "nearest", "kriged")}.items():
             if getattr(self, name) not in known:
@@ -154,6 +160,11 @@ class PlanOptions(PlanConfig):
     def needs_memory(self) -> bool:
         return self.guess == "kriged" or self.expected_joints or self.end_correction or self.gripper_events
 
+    def gauss_newton(self, tolerance: float = 0.0) -> "GaussNewton":
+        from preimage.ideas.gauss_newton import GaussNewton
+
+        return GaussNewton(self.iterations, self.finite_difference_step, tolerance, self.least_gain, self.drop_above)
+
     def augmentation(self) -> "TestTimeAugmentation | None":
         from preimage.ideas.test_time_augmentation import TestTimeAugmentation
 
@@ -170,7 +181,6 @@ class PlanOptions(PlanConfig):
         """
         from preimage.ideas.end_correction import EndCorrection
         from preimage.ideas.expected_joints import ExpectJoints
-        from preimage.ideas.gauss_newton import GaussNewton
         from preimage.ideas.gripper_events import ArriveAfterEvents
         from preimage.ideas.hold_goal import hold_goal, rest_at_goal
         from preimage.ideas.memory import KrigedGuess
@@ -185,7 +195,7 @@ class PlanOptions(PlanConfig):
             raise ValueError("these plans need a memory of the demonstrations: give one, or plan as paper or regression")
         guess = NearestToGoal(self.candidates) if self.guess == "nearest" else random_guesses
         tolerance = self.tolerance if self.expected_joints and self.modalities == "vision" else 0.0
-        search = adam if self.search == "adam" else GaussNewton(self.iterations, self.finite_difference_step, tolerance)
+        search = adam if self.search == "adam" else self.gauss_newton(tolerance)
         if see:
             search = Watched(search, see)
         if self.restarts:
@@ -325,7 +335,6 @@ class Planner:
 
     def recognise(self, demonstration: "Demonstration") -> "Recognition":
         """The intention of a whole sensed sequence (`method.plan.recognise`)."""
-        from preimage.ideas.gauss_newton import GaussNewton
         from preimage.ideas.nearest_training import NearestSequences
         from preimage.method.plan import recognise
         from preimage.method.seam import Ideas
@@ -333,7 +342,7 @@ class Planner:
         options = self.options
         if options.search == "adam":
             return recognise(self.model, demonstration, config=options)
-        search = GaussNewton(options.iterations, options.finite_difference_step)
+        search = options.gauss_newton()
         return recognise(self.model, demonstration, config=options, ideas=Ideas(NearestSequences(options.candidates), search))
 
 

@@ -34,14 +34,14 @@ class Iterate:
 
 DAMPINGS = (0.03, 1.0, 30.0)
 """Shares of the mean curvature that are added to it: how far each of the steps goes that are tried side by side."""
-BEHIND = 1.3
-"""A candidate whose error is more than this many times the lowest after an iteration is dropped."""
 LEADING = 8
 """Directions in which the Jacobian is measured anew."""
+BEHIND = 1.3
+"""A candidate whose error is more than this many times the lowest after an iteration is dropped, unless another bound is given."""
+WORTHWHILE = 0.2
+"""A step that lowers the error by less than this share of it is not worth another with the same Jacobian, unless another is given."""
 NEIGHBOURS = 100
 """Rollouts from which a first Jacobian is estimated: what is imagined from them has to be held at once."""
-WORTHWHILE = 0.2
-"""A step that lowers the error by less than this share of it is not worth another with the same Jacobian."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,10 @@ class GaussNewton:
     """How far each number is changed to see what it does, in standard deviations of the training intentions."""
     tolerance: float = 0.0
     """Share of the error of staying at the start at which the search ends: what is left is in single pixels."""
+    least_gain: float = WORTHWHILE
+    """A step that lowers the error by less than this share of it is not worth another with the same Jacobian."""
+    drop_above: float = BEHIND
+    """A candidate whose error is more than this many times the lowest after an iteration is dropped."""
 
     @torch.no_grad()
     def __call__(self, problem: Problem, objective: Objective, guesses: Float[Tensor, "B K"]) -> Regression:
@@ -76,10 +80,10 @@ class GaussNewton:
             tried = evaluate(steps_from(here, jacobian, cost).flatten(0, 1), problem, objective)
             there = better_of(here, tried)
             jacobian = broyden_update(jacobian, here, there)
-            near = there.error <= BEHIND * there.error.min()
+            near = there.error <= self.drop_above * there.error.min()
             here, jacobian = there[near], jacobian[near]
             lowest.append(here.error.min())
-            stale = bool(lowest[-1] > (1 - WORTHWHILE) * lowest[-2])
+            stale = bool(lowest[-1] > (1 - self.least_gain) * lowest[-2])
             if stale and fresh and lowest[-1] > tolerance:
                 stopped = Stopped.CONVERGED
                 break
