@@ -135,14 +135,17 @@ class PlanOptions(PlanConfig):
     @classmethod
     def regression(cls) -> Self:
         """Network and search without memory."""
-        return cls(search="gauss_newton", guess="nearest", candidates=4, iterations=12, dimensions=32, hold_goal=True, earliest_arrival=0)
+        return cls(
+            search="gauss_newton", guess="nearest", candidates=4, iterations=40, least_gain=0.02, drop_above=3.0, intention_cost=1e-4,
+            dimensions=32, hold_goal=True, earliest_arrival=0,
+        )  # fmt: skip
 
     @classmethod
     def full(cls) -> Self:
-        """All ideas."""
+        """All ideas. The search begins near the goal, and is done sooner."""
         return replace(
-            cls.regression(), guess="kriged", candidates=1, expected_joints=True, restarts=7, tolerance=0.003,
-            test_time_augmentation=0.03, end_correction=True, gripper_events=True,
+            cls.regression(), guess="kriged", candidates=1, iterations=12, least_gain=0.2, drop_above=1.3, intention_cost=1e-3,
+            expected_joints=True, restarts=7, tolerance=0.003, test_time_augmentation=0.03, end_correction=True, gripper_events=True,
         )  # fmt: skip
 
     @classmethod

@@ -35,6 +35,7 @@ FULL, REGRESSION = PlanOptions.full(), PlanOptions.regression()
 SEARCH = {name: getattr(PlanOptions.paper(), name) for name in ("search", "iterations", "learning_rate", "screening", "finalists")}
 SWITCHES: dict[str, tuple[str, ...]] = {
     "kriged guess": ("guess", "candidates"),
+    "brief search": ("iterations", "least_gain", "drop_above", "intention_cost"),
     "expected joints": ("expected_joints",),
     "restarts": ("restarts",),
     "test-time augmentation": ("test_time_augmentation",),
