@@ -43,4 +43,5 @@ def options_of(function: Callable[..., None]) -> list[str]:
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
         tyro.cli(function, args=["--help"])
-    return sorted(set(re.findall(r"(?:^│ (?:-\w, )?|, )(--[a-z][a-z0-9.-]*)", text.getvalue(), re.MULTILINE)))
+    rows = re.sub(r"\x1b\[[0-9;]*m", "", text.getvalue())  # in colour, whatever it is written to
+    return sorted(set(re.findall(r"(?:^[│ ] |, )(--[a-z][a-z0-9.-]*)", rows, re.MULTILINE)))
