@@ -3,6 +3,9 @@
 source <(preimage --completion)                                     # bash; in zsh after `autoload -U bashcompinit; bashcompinit`
 """
 
+import contextlib
+import io
+import re
 from collections.abc import Callable, Mapping
 
 SCRIPT = """\
@@ -34,8 +37,11 @@ def completion(functions: Mapping[str, Callable[..., None]]) -> str:
 
 
 def options_of(function: Callable[..., None]) -> list[str]:
-    """The options of a verb."""
+    """The options of a verb, as its help lists them, each at the beginning of a row or after its other name."""
     import tyro
 
-    parser = tyro.extras.get_parser(function)
-    return sorted({option for action in parser._actions for option in action.option_strings if option.startswith("--")})
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        tyro.cli(function, args=["--help"])
+    rows = re.sub(r"\x1b\[[0-9;]*m", "", text.getvalue())  # in colour, whatever it is written to
+    return sorted(set(re.findall(r"(?:^[│ ] |, )(--[a-z][a-z0-9.-]*)", rows, re.MULTILINE)))
