@@ -62,6 +62,10 @@ def test_a_push_is_as_far_as_it_is_said_and_over_with_the_next_command(arm, show
     assert apart[1] < 1e-3
     assert apart[2] == pytest.approx(PUSH_M, abs=0.01)
     assert apart[4] < 5e-3
+    robot = robot_of(arm, shown, "push")
+    sensed(robot, shown.joints[-1])
+    trial = robot.finish()
+    assert len(trial.frames) == len(trial.end_effector_m) == 6  # a push is no moment of its own
 
 
 def test_a_biased_encoder_is_believed_by_the_motor(arm, shown):

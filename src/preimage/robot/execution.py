@@ -155,10 +155,9 @@ class Stage:
         return joints
 
     def disturb(self, happens: Callable[[], object]) -> None:
-        """Let something happen to arm or scene; what is sensed now is what is sensed after it."""
+        """Let something happen to arm or scene; this moment is the one after it."""
         happens()
-        self._percepts[-1] = self._arm.sense()
-        self.course.append(self._arm.ground_truth())
+        self._percepts[-1], self.course[-1] = self._arm.sense(), self._arm.ground_truth()
 
     def judge(self) -> Judgement:
         """How the task judges the course so far."""
