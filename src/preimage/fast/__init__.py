@@ -15,9 +15,11 @@ if TYPE_CHECKING:
     from preimage.network.cells import State
     from preimage.network.pdvmrnn import PDVMRNN, Inputs
 
-IN_BFLOAT16_UP_TO = 8_000_000
-"""Weights of a network, its intentions aside, up to which the compiled loop is faster than torch also in bfloat16: it reads matrices in
-single precision, which for larger ones takes longer than all the rest."""
+COMPILED_UP_TO = 8_000_000
+"""Weights of a network, its intentions aside: beyond them torch is faster. `small` has 3.8 million and is faster compiled, or as fast;
+`paper` has 21 and takes 1.1 (float32) to 1.4 times as long (bfloat16), on one core (docs/log.md)."""
+TINY = 100_000
+"""Up to so many weights the compiled loop is faster in float32 than torch in bfloat16."""
 
 
 def is_available() -> bool:
@@ -45,8 +47,8 @@ def closed_loop_engine(
 def serves(model: "PDVMRNN", start: "Inputs", dtype: "torch.dtype | None") -> bool:
     """Whether the closed loop from this start can be compiled, at this precision at least, and is faster for it.
 
-    It is faster in single precision, always; in bfloat16 where the processor has it for both, up to `IN_BFLOAT16_UP_TO` weights; and where
-    torch would have to emulate bfloat16.
+    It is for networks of up to `COMPILED_UP_TO` weights; but where bfloat16 is asked for, and the processor has it for torch alone, for
+    those that are `TINY`.
     """
     import torch
 
@@ -54,10 +56,10 @@ def serves(model: "PDVMRNN", start: "Inputs", dtype: "torch.dtype | None") -> bo
 
     weights, pixels = model.pixel_bias, start[0]
     possible = weights.device.type == "cpu" and pixels.dtype == weights.dtype and dtype in (None, weights.dtype, torch.bfloat16)
-    if not possible or dtype != torch.bfloat16 or not computes_bfloat16(weights.device):
-        return possible
     count = sum(value.numel() for name, value in model.named_parameters() if not name.startswith("intention_table."))
-    return count <= IN_BFLOAT16_UP_TO and is_narrow(model, dtype)  # in this order: the latter loads numba
+    if not possible or count > COMPILED_UP_TO:
+        return False
+    return dtype != torch.bfloat16 or count <= TINY or is_narrow(model, dtype) or not computes_bfloat16(weights.device)
 
 
 def is_narrow(model: "PDVMRNN", dtype: "torch.dtype | None") -> bool:
