@@ -23,8 +23,8 @@ MOST_WAITING = 8
 """Jobs that may wait for their turn: more would wait for minutes."""
 MOST_KEPT = 24
 """Jobs that are remembered once they ended; one takes about 0.2 MB."""
-GRACE_S = 6.0
-"""How long a job goes on while nobody listens: a reload takes less."""
+GRACE_S = 20.0
+"""How long a job goes on while nobody listens: a reload takes less, also where the job itself takes the processor."""
 HEARTBEAT_S = 1.0
 """How often a listener is looked after: whether it is still there."""
 Event = dict[str, Any]
