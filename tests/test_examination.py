@@ -301,6 +301,7 @@ def test_the_verb_prints_a_finding_a_line_and_the_verdict_last(data, tmp_path, c
 def test_the_verb_ends_with_1_when_a_fault_makes_training_impossible(monkeypatch, tmp_path, capsys):
     description = Description("folder", {"camera": (48, 64, 1)}, NAMES, 10.0, 20)
     monkeypatch.setattr("preimage.data.dataset.describe", lambda *_, **__: description)
+    monkeypatch.setattr("preimage.data.dataset.episode_numbers", lambda *_, **__: list(range(20)))
     monkeypatch.setattr("preimage.data.dataset.read_episodes", lambda *_, **__: iter(PLANTED["a frame was lost"][2](healthy())))
     with pytest.raises(SystemExit) as stopped:
         main(["check", "mine", "--out", str(tmp_path / "check.html")])

@@ -113,7 +113,7 @@ def test_commands_have_the_verbs_and_options_they_name():
 def test_options_named_in_the_texts_are_there():
     helps = "".join(help_of(verb) for verb in cli.VERBS)
     texts = README + (ROOT / "docs" / "paper.md").read_text()
-    others = {"--index-url", "--version", "--help"}  # of pip, and of the command itself
+    others = {"--index-url", "--version", "--help", "--completion"}  # of pip, and of the command itself
     named = set(re.findall(r"(?<![\w-])--[a-z][a-z.-]+", texts)) - others
     assert not [option for option in named if not re.search(rf"{re.escape(option)}\b", helps)]
 

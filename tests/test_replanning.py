@@ -138,7 +138,7 @@ def test_a_solution_is_never_exchanged_for_a_worse_one(trained: PDVMRNN, improve
     clock, points = Clock(lambda: 0.0, 1.0), problem.space.training[:1]
     here = Solution(points, problem.imagine(problem.space.intention(points)))
     errors = [objective.errors(here.generated)[0].item()]
-    for _ in range(5):
+    for _ in range(20):
         clock.begin()
         better = improve(problem, objective, here, clock)
         here = better or here

@@ -36,7 +36,11 @@ VERBS = {
     "train": Verb("learning", "train_", "Train a network on the demonstrations of a data set."),
     "plan": Verb("acting", "plan_", "Imagine a way to a goal, or to several in a row."),
     "execute": Verb("acting", "execute_", "Let the simulated arm execute a plan, and judge where it ends."),
-    "calibrate": Verb("trusting", "calibrate_", "Learn how likely a run's plans succeed, and which goals to refuse."),
+    "calibrate": Verb(
+        "trusting",
+        "calibrate_",
+        "Learn from goals of known outcome how likely a run's plans succeed, and which goals to refuse; it is kept with the run.",
+    ),
     "evaluate": Verb("measuring", "evaluate_", "Count how often plans to goals that were never shown arrive, beside what luck would give."),
     "reproduce": Verb("measuring", "reproduce_", "Get the paper's numbers again, cell by cell; what was stopped goes on where it was."),
     "report": Verb("measuring", "report_", "Write the page of results from the JSON files, and the table in the README."),

@@ -57,7 +57,7 @@ def tensors_unlike(model: PDVMRNN, tensors: Mapping[str, torch.Tensor]) -> str |
 
 
 def what_else_it_is(content: bytes) -> str | None:
-    """What a file is that holds the weights of some other program; None where it may hold ours, damaged or not.
+    r"""What a file is that holds the weights of some other program; None where it may hold ours, damaged or not.
 
     >>> what_else_it_is(b"\x80\x04.")
     'a pickled file of PyTorch, which is not opened'
