@@ -41,7 +41,7 @@ TRAINING_IDEAS: dict[str, tuple[tuple[str, int], ...]] = {
     "keypoints": (("move-object", 100), ("two-circles", 100)),
 }
 """What a training goes beyond the paper with, and the tasks and numbers of demonstrations it was made for."""
-TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5080, 6000, 7000
+TEST_SEED, RECOGNITION_SEED, MODALITIES_SEED = 5110, 6000, 7000
 """A cell's seed is added to these: they draw what its model was never shown."""
 
 
