@@ -1,6 +1,7 @@
 """Results that somebody changed, or that are none, are named: the page is made of what is as it says, or not at all."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from random import Random
@@ -42,3 +43,18 @@ def test_what_is_no_json_object_is_named(tmp_path, content):
     (tmp_path / "other.json").write_bytes(content)
     with pytest.raises(ValueError, match=r"other.json is no result \(.*\): remove it, or write it anew"):
         read_result(tmp_path / "other.json")
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ({"cells": 3}, "cells is 3"),
+        ({"cells": [{"loop": "replan", "disturb": 3, "window": 5}]}, "disturb is 3"),
+        ({"kind": "ablation", "task": "reach", "num_demonstrations": 100, "loop": "closed", "rows": {"full": {}}}, "full has no success"),
+        ({"kind": "trust", "model": "reach", "seed": "5"}, "seed is '5'"),
+    ],
+)
+def test_tables_of_what_goes_wrong_of_ideas_and_of_trust_are_checked(content: dict, reason: str, tmp_path: Path) -> None:
+    (tmp_path / "one.json").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=re.escape(reason)):
+        read_results(tmp_path)

@@ -67,6 +67,28 @@ BENCH = {"device": str, "threads?": int, "train?": {"*": WORK}, "plan?": {"*": S
 TRAINING = {"measured_updates": int, "updates": int, "task": str, "minutes_extrapolated": Number, "precision": str}
 WHOLE, START_UP = {"whole_training": TRAINING}, {"start_up": {"import_s": Number, "import_all_s": Number, "help_s": Number}}
 AMOUNTS = {"*": Number}
+ROW = COUNTED | {"deviation_cm": Number, "seconds": Number, "iterations": Number, "gained?": int, "lost?": int, "p?": Number}
+ABLATION = {"task": str, "num_demonstrations": int, "loop": str, "rows": {"*": ROW}}
+REFUSED = {"refused": int, "goals": int, "interval": Pair}
+TRUST = {
+    "model": str,
+    "seed": int,
+    "success": {"area": COUNTED, "rim": COUNTED},
+    "roc_area": {"*": Number},
+    "roc_area_interval": {"*": Pair},
+    "calibration_error": Number,
+    "falsely_refused": REFUSED,
+    "refused_on_rim": REFUSED,
+    "refused": {"*": REFUSED},
+}
+DISTURBED = {
+    "loop": str,
+    "disturb": str | None,
+    "window": int | str | None,
+    "deviation_cm": {"mean": Number},
+    "seconds_per_step?": AMOUNTS,
+} | COUNTED
+"""A cell of what is tried with something that goes wrong."""
 GROWTH = {"device": str, "threads": int, "growth": {"horizon": AMOUNTS, "candidates": AMOUNTS, "batch": AMOUNTS, "pixels": AMOUNTS}}
 
 
@@ -119,7 +141,9 @@ def shapes_of(found: Mapping[str, Any]) -> list[dict[str, Any]]:
     known = {"neighbours": RECOGNITION, "map": MAP, "modalities": MODALITIES, "limit_gflops": BENCH, "growth": GROWTH}
     known |= {"whole_training": WHOLE, "start_up": START_UP}
     shapes = [shape for name, shape in known.items() if name in found]
-    return shapes + ([EVALUATION] if is_evaluation(found) else []) + ([HELD_OUT] if found.get("kind") == "held-out" else [])
+    kinds = {"held-out": HELD_OUT, "ablation": ABLATION, "trust": TRUST}
+    shapes += [kinds[kind]] if (kind := found.get("kind")) in kinds else []
+    return shapes + ([EVALUATION] if is_evaluation(found) else [])
 
 
 def misfit(content: Any, shape: Any, name: str = "it") -> str | None:
@@ -141,6 +165,11 @@ def misfit(content: Any, shape: Any, name: str = "it") -> str | None:
 
 def odd_in(found: Mapping[str, Any]) -> str | None:
     """What of a result is of the right kind and cannot be: no goals, no sequences, as many points as there are not."""
+    cells = found.get("cells", [])
+    if not isinstance(cells, list):
+        return f"cells is {kind_of(cells)}"
+    if reason := next(filter(None, (misfit(cell, DISTURBED, "a cell") for cell in cells)), None):
+        return reason
     if is_evaluation(found) and found["goals"] < 1:
         return f"goals is {found['goals']}"
     if is_evaluation(found) and found["task"] == "move-object" and "within_pixels" not in found:

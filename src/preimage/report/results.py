@@ -34,7 +34,7 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
         recognition_table(found),
     ]
     parts += [pictures(found, figures, "map", intention_map, INTENTIONS), modalities_table(found)]
-    parts += [trust_table(found), refusals_table(found), pictures(found, figures, "roc_area", trust_chart, TRUST)]
+    parts += [disturbed_table(found), trust_table(found), refusals_table(found), pictures(found, figures, "roc_area", trust_chart, TRUST)]
     parts += [held_out_table(found), speed_table(found)]
     parts += [pictures(found, figures, "growth", lambda one, to: growth_chart(one["growth"], to), GROWTH), cells_table(evaluations)]
     with atomic_write(path) as unfinished:
@@ -181,6 +181,21 @@ and {success[rim][goals]} lie on the rim, up to 10 cm beyond (test seed {seed}; 
 
 ![trust]({picture})"""
 RANKS = ("trust", "plan's error", "nearest demonstration")
+
+
+def disturbed_table(found: Results) -> str:
+    """What becomes of plans when something goes wrong (`preimage evaluate --disturb`), in each loop."""
+    rows = []
+    for one in found:
+        for cell in one.get("cells", ()):
+            loop = cell["loop"] if cell["window"] is None else f"{cell['loop']}, window of {cell['window']}"
+            took = cell.get("seconds_per_step", {})
+            a_step = f"{took['median']:.3f}, {took['99 %']:.3f} s" if {"median", "99 %"} <= took.keys() else ""
+            rows.append(
+                [str(one.get("task")), f"{one.get('seed')}", cell["disturb"] or "nothing", loop, counted(cell), mean_cm(cell), a_step]
+            )
+    head = ["task", "test seed", "what goes wrong", "loop", "reached", "mean", "a step: median, 99th percentile"]
+    return table("When something goes wrong", head, sorted(rows, key=lambda row: (row[0], row[2] != "nothing", row[2])))
 
 
 def trust_table(found: Results) -> str:
