@@ -89,11 +89,10 @@ def by_preset(function: Callable[..., None], arguments: list[str]) -> Callable[.
     named += [word.removeprefix("--as=") for word in arguments if word.startswith("--as=")]
     parameters = signature(function).parameters
     kind = getattr(parameters.get("config"), "default", None)
-    if not named and isinstance(kind, PlanOptions) and "run" in parameters:
-        named = [preset for word in arguments[:1] if (preset := preset_of(Path(word)))]
-    if not named or not isinstance(kind, PlanOptions | TrainOptions):
-        return function
-    return partial(function, as_=named[-1], config=type(kind).of(named[-1]))
+    if named and isinstance(kind, PlanOptions | TrainOptions):
+        return partial(function, config=type(kind).of(named[-1]))
+    trained_as = preset_of(Path(arguments[0])) if isinstance(kind, PlanOptions) and "run" in parameters and arguments else None
+    return partial(function, as_=trained_as, config=PlanOptions.of(trained_as)) if trained_as else function
 
 
 def preset_of(run: Path) -> str | None:
