@@ -287,7 +287,9 @@ class Program:
 
     def close(self) -> None:
         assert self.process.stdin is not None
+        assert self.process.stdout is not None
         self.process.stdin.close()
+        self.process.stdout.close()
         self.process.wait()
         shutil.rmtree(self.place, ignore_errors=True)
 
