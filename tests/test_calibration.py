@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from preimage.ideas.calibration import Calibration, fit_logistic
-from preimage.presets import CALIBRATION, PlanOptions, load_calibration
+from preimage.presets import PlanOptions, load_calibration
 from preimage.storage.atomic_write import write_json
+from preimage.storage.run_files import CALIBRATION
 
 NAMES = "unexplained", "goal_blend", "disagreement"
 

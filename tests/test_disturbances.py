@@ -6,11 +6,13 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from played import plan_of
+from preimage.data.sequences import at_rate
 from preimage.evaluation.disturbed import cells_for
 from preimage.evaluation.loops import Disturbed
 from preimage.evaluation.trials import Circumstances, try_out
 from preimage.presets import ReplanConfig
-from preimage.records import Demonstration, Percept, Plan, Stopped
+from preimage.records import Demonstration, Percept
 from preimage.robot import TASKS, Arm, forward_kinematics
 from preimage.robot.disturbances import BIAS_RAD, DISTURBANCES, LATE_S, OBJECT_M, PUSH_M, disturbance_of
 from preimage.robot.execution import execute
@@ -125,27 +127,8 @@ def test_every_loop_meets_everything_that_can_happen():
     assert {cell.disturb for cell in cells_for(TASKS["reach"], ReplanConfig())} == {None, "push", "bias", "goal", "camera", "late"}
 
 
-def plan_of(demonstration: Demonstration) -> Plan:
-    """The plan that imagines what the demonstrator did, at every fourth step."""
-    steps = [*range(0, len(demonstration) - 1, 4), len(demonstration) - 1]
-    return Plan(
-        frames=demonstration.frames[steps],
-        joints=demonstration.joints[steps],
-        arrival_step=len(steps) - 1,
-        rate_hz=2.5,
-        joint_names=demonstration.joint_names,
-        start=demonstration.first,
-        goal=Percept(demonstration.last.frame),
-        error=0.0,
-        errors=np.zeros(1),
-        intention=np.zeros(1),
-        stopped=Stopped.CONVERGED,
-        seconds=0.0,
-    )
-
-
 def test_undisturbed_a_robot_that_is_driven_does_what_execution_does(arm, shown):
-    found = plan_of(shown)
+    found = plan_of(at_rate(shown, 2.5))
     usual = execute(found, arm, shown.scene)
     driven, _ = try_out(None, found, arm, TASKS["reach"], shown.scene, "closed", Circumstances())
     assert driven.deviation_m == usual.deviation_m
@@ -154,7 +137,7 @@ def test_undisturbed_a_robot_that_is_driven_does_what_execution_does(arm, shown)
 
 def test_what_was_recorded_cannot_be_disturbed(arm, shown):
     with pytest.raises(ValueError, match="--loop recorded plays what was recorded, where nothing can go wrong: give closed, open, replan"):
-        try_out(None, plan_of(shown), arm, TASKS["reach"], shown.scene, "recorded", Circumstances("push"))
+        try_out(None, plan_of(at_rate(shown, 2.5)), arm, TASKS["reach"], shown.scene, "recorded", Circumstances("push"))
 
 
 # Driving any robot

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from preimage.records import Percept, Plan, Stopped
+from played import plan_of
 from preimage.robot import TASKS, Arm, MoveObject, Reach, forward_kinematics, record, with_frames
 from preimage.robot.execution import execute, execute_open_loop, limits_of, play
 from preimage.robot.limits import Limits, within_limits
@@ -27,24 +27,6 @@ def shown():
 @pytest.fixture(params=TASKS)
 def demonstration(shown, request):
     return shown[request.param]
-
-
-def plan_of(demonstration, arrival_step=None):
-    """The plan that imagines exactly what the demonstrator did."""
-    return Plan(
-        frames=demonstration.frames,
-        joints=demonstration.joints,
-        arrival_step=len(demonstration) - 1 if arrival_step is None else arrival_step,
-        rate_hz=demonstration.rate_hz,
-        joint_names=demonstration.joint_names,
-        start=demonstration.first,
-        goal=Percept(demonstration.last.frame),
-        error=0.0,
-        errors=np.zeros(1),
-        intention=np.zeros(1),
-        stopped=Stopped.CONVERGED,
-        seconds=0.0,
-    )
 
 
 def repeat(joints):

@@ -20,8 +20,9 @@ from preimage.network.config import ModelConfig
 from preimage.network.inputs import home
 from preimage.network.intention import unflatten
 from preimage.network.pdvmrnn import PDVMRNN, Generated
-from preimage.presets import MEMORY, Planner, PlanOptions, load_planner
+from preimage.presets import Planner, PlanOptions, load_planner
 from preimage.records import Percept, Plan, Stopped
+from preimage.storage.run_files import MEMORY
 
 
 def imagined_by(model: PDVMRNN, found: Plan, num_steps: int | None = None) -> Generated:

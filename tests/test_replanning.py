@@ -11,7 +11,7 @@ from preimage.ideas.last_look import LastLook
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.moved_things import MovedThings
 from preimage.ideas.replan_config import ReplanConfig
-from preimage.ideas.replanning import Belief, Replanner, coordinates_of, nearest_step
+from preimage.ideas.replanning import Belief, Replanner, nearest_step
 from preimage.ideas.timed_search import ByGaussNewton, Clock, Solution, by_adam
 from preimage.ideas.underway import Sensed, Underway, Window
 from preimage.method.prediction_error import sequence_error
@@ -283,7 +283,7 @@ def test_the_point_of_an_intention_is_found_again(trained: PDVMRNN) -> None:
     space = trained.intention_table.space(None)
     points = torch.linspace(-1, 1, space.training.shape[1])[None]
     intention = space.intention(points).flatten()[0].double().numpy()
-    torch.testing.assert_close(coordinates_of(intention, space, trained), points, atol=1e-3, rtol=0)
+    torch.testing.assert_close(space.coordinates_of(torch.from_numpy(intention)[None]), points, atol=1e-3, rtol=0)
 
 
 def test_a_way_is_entered_where_it_passes_nearest() -> None:

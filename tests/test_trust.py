@@ -15,13 +15,14 @@ from preimage.ideas.calibration import Calibration
 from preimage.ideas.trust import ALREADY_THERE, NOT_IMAGINED, OFF_DEMONSTRATED, REASONS, START_UNLIKE, Assessment
 from preimage.ideas.waypoints import join, least_of
 from preimage.method.plan import plan as plan_by_the_method
-from preimage.presets import CALIBRATION, Planner, PlanOptions, load_calibration, load_planner
+from preimage.presets import Planner, PlanOptions, load_calibration, load_planner
 from preimage.records import GoalRefused, Percept, Plan, Shown, Trust
 from preimage.report import write_results
 from preimage.robot import TASKS, Arm, Reach
 from preimage.robot.rim import RIM_M, beyond_area_m, end_of, sample_rim, sense_ends
 from preimage.storage.bundled import BUNDLED
 from preimage.storage.plans import load_plan, save_plan
+from preimage.storage.run_files import CALIBRATION
 
 QUICK = replace(FULL, iterations=2, restarts=0)
 

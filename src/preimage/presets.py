@@ -20,6 +20,7 @@ from preimage.ideas.replan_config import ReplanConfig
 from preimage.method.config import PlanConfig, TrainConfig
 from preimage.network.config import ModelConfig
 from preimage.network.ranges import validate
+from preimage.storage.run_files import CALIBRATION, MEMORY
 
 if TYPE_CHECKING:
     import torch
@@ -38,10 +39,6 @@ if TYPE_CHECKING:
     from preimage.network.pdvmrnn import PDVMRNN
     from preimage.records import Demonstration, Percept, Plan
 
-MEMORY = "memory.safetensors"
-"""Where a run keeps the memory of its demonstrations."""
-CALIBRATION = "calibration.json"
-"""Where a run keeps what trust in its plans is calibrated by."""
 Preset = Literal["paper", "regression", "full"]
 """paper: the paper's method alone; regression: network and search without memory; full: all ideas."""
 PRESETS: tuple[Preset, ...] = get_args(Preset)
@@ -163,6 +160,10 @@ class PlanOptions(PlanConfig):
     def needs_memory(self) -> bool:
         return self.guess == "kriged" or self.expected_joints or self.end_correction or self.gripper_events
 
+    def calibrated_with(self) -> dict[str, Any]:
+        """What a calibration of such plans is known by: all but the precision, which follows the machine."""
+        return asdict(self) | {"precision": None}
+
     def gauss_newton(self, tolerance: float = 0.0) -> "GaussNewton":
         from preimage.ideas.gauss_newton import GaussNewton
 
@@ -263,8 +264,8 @@ class Planner:
         """What says of a plan how far to trust it; by a calibration only where that was made with the same options."""
         from preimage.ideas.trust import Assessment
 
-        options, known = asdict(self.options) | {"precision": None}, self.calibration
-        fits = known is not None and dict(known.plan) == options
+        known = self.calibration
+        fits = known is not None and dict(known.plan) == self.options.calibrated_with()
         otherwise = known is not None and not fits
         return Assessment(self.model, self.memory if self.options.needs_memory else None, known if fits else None, otherwise)
 

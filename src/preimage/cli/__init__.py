@@ -3,7 +3,6 @@
 A verb's room is loaded when the verb is known, for torch, matplotlib and mujoco take seconds to load and a misspelt word needs none.
 """
 
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -98,10 +97,11 @@ def by_preset(function: Callable[..., None], arguments: list[str]) -> Callable[.
 def preset_of(run: Path) -> str | None:
     """The preset that a run folder says it was trained by; None where there is no such folder or it does not say."""
     from preimage.presets import PRESETS
+    from preimage.storage.reading import read_json
 
     try:
-        preset = json.loads((run / "config.json").read_text(encoding="utf-8"))["preset"]
-    except (OSError, ValueError, KeyError, TypeError):  # the verb says what is wrong with a run
+        preset = read_json(run / "config.json").get("preset")
+    except (OSError, ValueError):  # the verb says what is wrong with a run
         return None
     return preset if preset in PRESETS else None
 

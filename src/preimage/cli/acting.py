@@ -3,7 +3,6 @@
 What a verb's signature does not need is loaded in its function, so that a word that is off is answered at once.
 """
 
-import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,7 +11,7 @@ import numpy as np
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.screen import following, remark, waiting
+from preimage.cli.screen import counted, following, remark, validate_goals, waiting
 from preimage.compute.choices import Device
 from preimage.evaluation.loops import Disturbed
 from preimage.presets import PlanOptions, Preset, ReplanConfig, load_planner
@@ -47,8 +46,7 @@ def demo(
     """
     if task not in BUNDLED:
         raise ValueError(f"there is no bundled model of {task}; there are {', '.join(BUNDLED)}")
-    if not 1 <= goals <= MOST_GOALS:
-        raise ValueError(f"--goals is {goals}: give 1 to {MOST_GOALS}")
+    validate_goals(goals, most=MOST_GOALS)
     from preimage.compute.devices import CPU
     from preimage.compute.precision import describe_precision
     from preimage.compute.threads import choose_threads
@@ -56,10 +54,9 @@ def demo(
 
     remark(describe_precision(config.precision, CPU))
     remark(choose_threads())
-    done = itertools.count(1)
     with following("planning and executing", total=goals) as follow, output_folder(out, DEMO, overwrite=True) as draft:
         words = {"goals": goals, "seed": seed, "out": draft}
-        report = demonstration_of_it_all.run(task, config, **words, progress=lambda: follow(done=next(done)))
+        report = demonstration_of_it_all.run(task, config, **words, progress=counted(follow))
     for line in report.lines:
         print(line.replace(str(draft), str(out)))
     print(f"open {out / report.page.name}")
@@ -236,9 +233,9 @@ def execute_(
     else:
         circumstances = Circumstances(disturb, settings=replan, then=then, clock=time.perf_counter)
         task = with_frames(task_of(scene), found.frames.shape[1])
-        trial, driven = try_out(planner, found, Arm(), task, scene, loop, circumstances)
-        if loop == "replan":
-            print("\n".join(beliefs_in_words(driven.decisions)))
+        trial, beliefs = try_out(planner, found, Arm(), task, scene, loop, circumstances)
+        if beliefs:
+            print("\n".join(beliefs_in_words(beliefs)))
     if film_:
         film(found, trial, film_)
     for sentence in trial.limited:

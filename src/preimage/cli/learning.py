@@ -12,7 +12,7 @@ import tyro
 from tyro.conf import Positional
 
 from preimage.cli.errors import is_first_here
-from preimage.cli.screen import followed, following, known_task
+from preimage.cli.screen import followed, following, known_task, validate_seed
 from preimage.cli.tensorboard import scalars_to, validate_tensorboard
 from preimage.compute.choices import Device
 from preimage.data.clocks import bounds, is_rate
@@ -20,7 +20,7 @@ from preimage.data.view import View
 from preimage.network.config import ModelConfig
 from preimage.presets import Preset, TrainOptions, network_config, train
 from preimage.records import number_of
-from preimage.storage.output_folders import output_folder, validate_output_file, validate_output_folder
+from preimage.storage.output_folders import validate_output_file, validate_output_folder
 
 CHECK_PAGE = {"noun": "page", "marks": (b"<!doctype html>", b"preimage check")}
 
@@ -35,20 +35,18 @@ def record_(task: Positional[str], count: int, out: Path, seed: int = 0, pixels:
         seed: draws the scenes and the demonstrator's hand.
         pixels: height and width of the frames.
     """
-    from preimage.data.lerobot_writer import write_files
     from preimage.robot import TASKS, Arm, record, with_frames
+    from preimage.storage.recordings import save
 
     known_task(task)
     if not 16 <= pixels <= 1024:
         raise ValueError(f"--pixels is {pixels}: give 16 to 1024")
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"--seed is {seed}: give a whole number from 0 to {2**63 - 1}")
+    validate_seed(seed)
     validate_output_folder(out)
     arm, filmed = Arm(), with_frames(TASKS[task], pixels)
     with following("recording", total=count) as follow:
         demonstrations = record(arm, filmed, count=count, seed=seed, progress=lambda done, _all: follow(done=done))
-    with output_folder(out) as draft:
-        write_files(demonstrations, draft, task=task, joint_unit=arm.joint_unit)
+    save(demonstrations, out, task=task, joint_unit=arm.joint_unit)
     steps = sum(map(len, demonstrations))
     print(f"{number_of(count, 'demonstration')}, {number_of(steps, 'step')} at {TASKS[task].rate_hz:g} Hz, in {out}")
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.screen import console, following, known_task, remark
+from preimage.cli.screen import console, following, known_task, remark, validate_goals, validate_seed
 from preimage.cli.trusting import evaluate_trust
 from preimage.compute.choices import Device
 from preimage.evaluation.loops import Disturbed, Loop
@@ -79,10 +79,8 @@ def evaluate_(
     from preimage.storage.runs import find_run, made_from, read_shown
 
     known_task(task)
-    if not 1 <= goals <= MOST_GOALS:
-        raise ValueError(f"--goals is {goals}: give 1 to {MOST_GOALS}")
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"--seed is {seed}: give a whole number from 0 to {2**63 - 1}")
+    validate_goals(goals, most=MOST_GOALS)
+    validate_seed(seed)
     validate_output_file(out, **EVALUATION)
     if disturb is not None:
         validate_disturbance(disturb, task, loop)
@@ -107,9 +105,9 @@ def evaluate_(
     remark(describe_precision(config.precision, group.device))
     if group.size == 1:
         remark(choose_threads())
-    if disturb == "all" and group.size > 1:
-        raise ValueError(f"--disturb all is one process's work: give --devices 1, not {devices}")
     if disturb == "all":
+        if group.size > 1:
+            raise ValueError(f"--disturb all is one process's work: give --devices 1, not {devices}")
         return side_by_side(planner, filmed, about, out, goals=goals, seed=seed, replan=replan)
     with following("evaluating", total=mine, shown=group.first) as follow:
         reached: list[bool] = []

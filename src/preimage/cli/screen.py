@@ -1,5 +1,6 @@
 """What the verbs show on the screen while they work: a bar that moves, or, in a log, where none could, a line now and then."""
 
+import itertools
 import sys
 import threading
 import time
@@ -93,6 +94,12 @@ def followed(things: Iterable[Thing], what: str, *, total: int | None = None) ->
             yield thing
 
 
+def counted(follow: Follow) -> Callable[..., None]:
+    """A function that counts its calls, for works that tell of each thing they have done."""
+    done = itertools.count(1)
+    return lambda *_: follow(done=next(done))
+
+
 def duration(seconds: float) -> str:
     """A time to wait, in words.
 
@@ -107,6 +114,18 @@ def duration(seconds: float) -> str:
 def remark(line: str) -> None:
     """A line about how the work is done, apart from what comes of it."""
     console.print(line, highlight=False, soft_wrap=True)
+
+
+def validate_goals(goals: int, *, fewest: int = 1, most: int) -> None:
+    """Raises ValueError where so many goals cannot be planned to."""
+    if not fewest <= goals <= most:
+        raise ValueError(f"--goals is {goals}: give {fewest} to {most}")
+
+
+def validate_seed(seed: int) -> None:
+    """Raises ValueError where nothing can be drawn by a seed."""
+    if not 0 <= seed < 2**63:
+        raise ValueError(f"--seed is {seed}: give a whole number from 0 to {2**63 - 1}")
 
 
 def known_task(task: str) -> None:

@@ -7,10 +7,11 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional
 
-from preimage.cli.screen import following, known_task, remark
+from preimage.cli.screen import counted, following, known_task, remark, validate_goals, validate_seed
 from preimage.compute.choices import Device
-from preimage.presets import CALIBRATION, PlanOptions, Preset, load_planner
+from preimage.presets import PlanOptions, Preset, load_planner
 from preimage.storage.atomic_write import write_json
+from preimage.storage.run_files import CALIBRATION
 
 MOST_GOALS = 10_000
 FEWEST_GOALS = 12
@@ -44,14 +45,12 @@ def calibrate_(
     from preimage.compute.devices import torch_device
     from preimage.compute.precision import describe_precision
     from preimage.compute.threads import choose_threads
-    from preimage.evaluation.trust import PRACTICE_SHARE, RIM_SHARE, Assessed, calibrate, calibrate_by_recordings
+    from preimage.evaluation.trust import PRACTICE_SHARE, RIM_SHARE, calibrate, calibrate_by_recordings
     from preimage.robot import TASKS, Arm, with_frames
     from preimage.storage.runs import find_run, read_config
 
-    if not FEWEST_GOALS <= goals <= MOST_GOALS:
-        raise ValueError(f"--goals is {goals}: give {FEWEST_GOALS} to {MOST_GOALS}")
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"--seed is {seed}: give a whole number from 0 to {2**63 - 1}")
+    validate_goals(goals, fewest=FEWEST_GOALS, most=MOST_GOALS)
+    validate_seed(seed)
     folder = find_run(run)
     task = task or read_config(folder).get("task")
     if data is None:
@@ -62,12 +61,7 @@ def calibrate_(
     remark(choose_threads())
     num_possible = len(recorded) if data else goals + goals // RIM_SHARE
     with following("calibrating", total=num_possible + (len(recorded) or goals) // PRACTICE_SHARE) as follow:
-        done: list[Assessed] = []
-
-        def tell(one: Assessed) -> None:
-            done.append(one)
-            follow(done=len(done))
-
+        tell = counted(follow)
         if data:
             calibration = calibrate_by_recordings(planner, recorded, seed=seed, progress=tell)
         else:
@@ -101,7 +95,7 @@ def evaluate_trust(run: str, out: Path, task: str, goals: int, seed: int, device
     """The part of `evaluate` that counts which goals are refused, rightly and wrongly."""
     from preimage.compute.devices import torch_device
     from preimage.compute.threads import choose_threads
-    from preimage.evaluation.trust import Assessed, examine, result_of_trust
+    from preimage.evaluation.trust import examine, result_of_trust
     from preimage.robot import TASKS, Arm, with_frames
     from preimage.storage.provenance import provenance
     from preimage.storage.runs import find_run, made_from, read_shown
@@ -114,12 +108,7 @@ def evaluate_trust(run: str, out: Path, task: str, goals: int, seed: int, device
     remark(choose_threads())
     about = {"task": task, "model": run, "seed": seed, "num_calibrated_by": planner.assessment.calibration.num_goals} | made_from(folder)
     with following("evaluating") as follow:
-        done: list[Assessed] = []
-
-        def tell(one: Assessed) -> None:
-            done.append(one)
-            follow(done=len(done))
-
+        tell = counted(follow)
         filmed = with_frames(TASKS[task], planner.model.sensors.height)
         pictures = max(1, goals // GOALS_A_PICTURE)
         assessed = examine(planner, Arm(), filmed, goals=goals, pictures=pictures, seed=seed, progress=tell)
@@ -131,14 +120,14 @@ def evaluate_trust(run: str, out: Path, task: str, goals: int, seed: int, device
 def lines_of(result: dict[str, Any]) -> list[str]:
     """What there is to say of an examination of trust."""
 
-    def counted(one: dict[str, Any]) -> str:
+    def of_refused(one: dict[str, Any]) -> str:
         low, high = one["interval"]
         return f"{one['refused']}/{one['goals']} refused (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
 
     lines = [
-        f"{'possible goals':22s} {counted(result['falsely_refused'])}",
-        f"{'goals on the rim':22s} {counted(result['refused_on_rim'])}",
+        f"{'possible goals':22s} {of_refused(result['falsely_refused'])}",
+        f"{'goals on the rim':22s} {of_refused(result['refused_on_rim'])}",
     ]
-    lines += [f"{kind:22s} {counted(one)}" for kind, one in result["refused"].items()]
+    lines += [f"{kind:22s} {of_refused(one)}" for kind, one in result["refused"].items()]
     lines += [f"area under the ROC, by {name}: {area:.3f}" for name, area in result["roc_area"].items()]
     return [*lines, f"expected calibration error {result['calibration_error']:.3f}"]

@@ -10,6 +10,7 @@ Ideas of planning share the trained models of a task. Ideas of training have mod
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from math import comb
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,8 @@ from preimage.evaluation.experiments import TELL, demonstrations_of, planner_of
 from preimage.evaluation.loops import Loop
 from preimage.evaluation.recipes import TEST_GOALS, TEST_SEED, TRAINING_IDEAS, Cell, paper_of
 from preimage.method.train import Progress
-from preimage.presets import PlanOptions, Preset, load_planner
+from preimage.presets import Planner, PlanOptions, Preset
+from preimage.records import Demonstration
 from preimage.robot import Arm, record
 from preimage.storage.atomic_write import write_json
 from preimage.storage.provenance import provenance
@@ -31,8 +33,9 @@ from preimage.storage.reading import read_json
 
 GRIPPING = "move-object", "two-circles"
 """Tasks with a gripper, in which alone there are gripper events."""
-FULL, REGRESSION = PlanOptions.full(), PlanOptions.regression()
-SEARCH = {name: getattr(PlanOptions.paper(), name) for name in ("search", "iterations", "learning_rate", "screening", "finalists")}
+PAPER, REGRESSION, FULL = PlanOptions.paper(), PlanOptions.regression(), PlanOptions.full()
+SEARCH = "search", "iterations", "learning_rate", "screening", "finalists"
+"""The options that make a search the paper's."""
 SWITCHES: dict[str, tuple[str, ...]] = {
     "kriged guess": ("guess", "candidates"),
     "brief search": ("iterations", "least_gain", "drop_above", "intention_cost"),
@@ -60,12 +63,16 @@ class Variant:
     def name(self) -> str:
         return f"{self.preset} {self.idea}".strip()
 
+    def learned(self, cell: Cell) -> Cell:
+        """The training whose model it plans with; regression shares that of full."""
+        return replace(cell, preset="paper" if self.preset == "paper" else "full", without=self.without)
+
 
 def variants_of(cell: Cell) -> list[Variant]:
     """The rows of a task's table."""
     ideas = {name: fields for name, fields in SWITCHES.items() if name != "gripper events" or cell.task in GRIPPING}
     variants = [Variant("paper"), Variant("regression")]
-    both = {"- Gauss-Newton": SEARCH, "- hold at the goal": {"hold_goal": False}}
+    both = {"- Gauss-Newton": options_of(PAPER, SEARCH), "- hold at the goal": {"hold_goal": False}}
     variants += [Variant("regression", idea, options) for idea, options in both.items()]
     variants += [Variant("regression", f"+ {idea}", options_of(FULL, fields)) for idea, fields in ideas.items()]
     variants += [Variant("full")]
@@ -96,6 +103,15 @@ def ablate(
     Raises:
         ValueError: the working folder holds a run of that name with other data or settings.
     """
+
+    @cache
+    def trained(cell: Cell) -> Planner:
+        return planner_of(cell, demonstrations_of(cell, work, tell), place, work, tell, progress)
+
+    @cache
+    def goals_of(cell: Cell) -> list[Demonstration]:
+        return record(Arm(), cell.filmed, count=cell.goals or TEST_GOALS[cell.task], seed=TEST_SEED + cell.seed)
+
     tables: dict[tuple[str, Loop], None] = dict.fromkeys((cell.data, loop) for cell in cells for loop in cell.loops)
     for data, loop in tables:
         alike = [cell for cell in cells if cell.data == data]
@@ -103,7 +119,7 @@ def ablate(
         table = read_json(file) if file.exists() else about_of(alike, loop, place)
         for variant in variants_of(alike[0]):
             if variant.name not in table["rows"]:
-                rows = [row for cell in alike for row in rows_of(cell, variant, loop, place, work, tell, progress)]
+                rows = [row for cell in alike for row in rows_of(cell, variant, loop, trained(variant.learned(cell)), goals_of(cell), tell)]
                 base = table["rows"][variant.preset]["trials"] if variant.idea else None
                 table["rows"][variant.name] = summed_up(rows, base)
                 write_json(file, table)
@@ -117,16 +133,10 @@ def about_of(cells: Sequence[Cell], loop: Loop, place: torch.device) -> dict[str
     return about | seeds | {"paper": paper_of(first.task, first.num_demonstrations, loop), "provenance": provenance(place), "rows": {}}
 
 
-def rows_of(
-    cell: Cell, variant: Variant, loop: Loop, place: torch.device, work: Path, tell: TELL, progress: Callable[[Progress], None] | None
-) -> list[dict[str, Any]]:
+def rows_of(cell: Cell, variant: Variant, loop: Loop, trained: Planner, goals: Sequence[Demonstration], tell: TELL) -> list[dict[str, Any]]:
     """What became of each of a cell's goals."""
-    cell = replace(cell, preset=variant.preset, without=variant.without)
-    planner_of(cell, demonstrations_of(cell, work, tell), place, work, tell, progress)  # it is trained now, if it was not before
-    options = replace(PlanOptions.of(variant.preset), **variant.options)
-    planner = load_planner(work / "runs" / cell.run, options, device=place)
+    planner = Planner(trained.model, trained.memory, replace(PlanOptions.of(variant.preset), **variant.options))
     arm, began, rows = Arm(), time.perf_counter(), list[dict[str, Any]]()
-    goals = record(arm, cell.filmed, count=cell.goals or TEST_GOALS[cell.task], seed=TEST_SEED + cell.seed)
     for goal, demonstration in enumerate(goals):
         found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner))
         trial = carry_out(planner, found, arm, cell.filmed, demonstration, loop)
@@ -135,7 +145,7 @@ def rows_of(
         rows.append({"training_seed": cell.seed, "goal": goal} | moved | searched)
         left = (time.perf_counter() - began) / (goal + 1) * (len(goals) - goal - 1)
         reached = sum(row["success"] for row in rows)
-        tell(f"{cell.run}, {variant.name}, {loop}: {reached}/{goal + 1} of {len(goals)}, {left:.0f} s left")
+        tell(f"{variant.learned(cell).run}, {variant.name}, {loop}: {reached}/{goal + 1} of {len(goals)}, {left:.0f} s left")
     return rows
 
 

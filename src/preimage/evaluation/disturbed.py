@@ -62,8 +62,7 @@ def try_all(
         assert demonstration.scene is not None
         for cell, evaluated in tried.items():
             circumstances = Circumstances(cell.disturb, recorded[(goal + 1) % goals], (seed, goal), cell.settings)
-            trial, driven = try_out(planner, found, arm, task, demonstration.scene, cell.loop, circumstances)
-            beliefs = tuple(driven.decisions) if cell.loop == "replan" else ()
+            trial, beliefs = try_out(planner, found, arm, task, demonstration.scene, cell.loop, circumstances)
             evaluated.append(Evaluated(demonstration, found, trial, {}, beliefs))
         progress(tried)
     return tried

@@ -126,8 +126,7 @@ def evaluate(
         if disturb or loop == "replan":
             assert demonstration.scene is not None
             circumstances = Circumstances(disturb, recorded[(goal + 1) % goals], (seed, goal), replan)
-            trial, driven = try_out(planner, found, arm, task, demonstration.scene, loop, circumstances)
-            beliefs = tuple(driven.decisions) if loop == "replan" else ()
+            trial, beliefs = try_out(planner, found, arm, task, demonstration.scene, loop, circumstances)
         else:
             trial = carry_out(planner, found, arm, task, demonstration, loop)
         baselines = baselines_of(planner, arm, task, demonstration, found, shown, policies or {}) if with_baselines else ()

@@ -15,7 +15,7 @@ from preimage.records import Demonstration, Percept, Plan, Scene, Trial
 from preimage.robot import Arm, Task
 from preimage.robot.disturbances import Disturbance, disturbance_of
 from preimage.robot.move_object import HALF_OPEN_M
-from preimage.robot.protocol import Drive, drive
+from preimage.robot.protocol import drive
 from preimage.robot.simulated import SimulatedRobot
 
 PATIENCE = 2
@@ -46,19 +46,24 @@ class Circumstances:
 
     def disturbance(self, scene: Scene, found: Plan) -> Disturbance:
         """The disturbance of a trial, half way along its plan."""
-        half = found.arrival_step // 2
         if self.disturb is None:
             return Disturbance()
+        half = half_way(found)
         closed = np.flatnonzero(found.joints[:, -1] < HALF_OPEN_M) if "object" in scene.positions_m else np.zeros(0)
         grasp = max(1, int(closed[0]) // 2) if len(closed) else half
         other = self.other.scene if self.other else None
-        return disturbance_of(self.disturb, scene, half=max(1, half), grasp=grasp, seed=self.seed, other=other)
+        return disturbance_of(self.disturb, scene, half=half, grasp=grasp, seed=self.seed, other=other)
+
+
+def half_way(found: Plan) -> int:
+    """The step at which half of the way is behind the arm."""
+    return max(1, found.arrival_step // 2)
 
 
 def try_out(
     planner: Planner | None, found: Plan, arm: Arm, task: Task, scene: Scene, loop: Loop, circumstances: Circumstances
-) -> tuple[Trial, Drive]:
-    """Carry a plan out in one of the loops, in some circumstances.
+) -> tuple[Trial, tuple[Any, ...]]:
+    """Carry a plan out in one of the loops, in some circumstances; with what a loop that plans anew believed at each step.
 
     Args:
         planner: the network that planned; a plan that is played blind needs none.
@@ -73,7 +78,7 @@ def try_out(
         raise ValueError(f"--loop {loop} plays what was recorded, where nothing can go wrong: give {', '.join(deciders)}")
     decide = deciders[loop](planner, found, circumstances)
     driven = drive(robot, decide, period_s=1 / found.rate_hz, most_steps=PATIENCE * len(found) * (1 + len(circumstances.then)))
-    return robot.finish(driven.limited), driven
+    return robot.finish(driven.limited), tuple(driven.decisions) if loop == "replan" else ()
 
 
 def play_back(planner: Planner | None, found: Plan, circumstances: Circumstances) -> Callable[[Percept], Command]:
@@ -105,7 +110,7 @@ def plan_anew(planner: Planner | None, found: Plan, circumstances: Circumstances
     assert planner is not None
     goals = [found.goal, *circumstances.then]
     replanner = planner.replanner(goals=goals, settings=circumstances.settings, found=found, clock=circumstances.clock)
-    half, steps = max(1, found.arrival_step // 2), itertools.count()
+    half, steps = half_way(found), itertools.count()
 
     def decide(percept: Percept) -> Any:
         if next(steps) == half and circumstances.disturb == "goal":

@@ -10,7 +10,7 @@ pictures that nothing can be brought to. Those of the last that calibration sees
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,6 @@ AREA, RIM = "area", "rim"
 """Goals drawn as those of the demonstrations, and goals beyond them."""
 RIM_SHARE, PRACTICE_SHARE = 2, 4
 """For so many goals of the area there is one on the rim, and one impossible picture to calibrate by."""
-MOST_CALIBRATION_SEED = 999
-"""Seeds of 500 up to this are those of tuning and calibration; what is reported is drawn by others."""
 NUM_BINS = 10
 """Bins of the reliability diagram, each of as many goals."""
 SAME_JOINTS_SHARE = 0.05
@@ -144,8 +142,8 @@ def calibrate_by_recordings(
 def calibration_of(assessed: Sequence[Assessed], planner: Planner) -> Calibration:
     """What can be learned from goals that were planned to."""
     evidence = [planner.assessment.evidence(one.plan) for one in assessed]
-    options = asdict(planner.options) | {"precision": None}
-    return Calibration.of(evidence, [one.reached for one in assessed], possible=[one.kind == AREA for one in assessed], plan=options)
+    reached, possible = [one.reached for one in assessed], [one.kind == AREA for one in assessed]
+    return Calibration.of(evidence, reached, possible=possible, plan=planner.options.calibrated_with())
 
 
 def examine(

@@ -110,7 +110,7 @@ class ClosedLoop(torch.autograd.Function):
         given = [(*program.lists, *in_numpy(weights), kernels, scratch_of(program, narrow), *in_numpy(*each)) for program, *each in parts]
         ctx.threads = torch.get_num_threads()
         side_by_side(go_forward, given, ctx.threads)
-        if not (weights.isfinite().all() and initial.isfinite().all()):  # fast arithmetic assumes that they are
+        if not (weights.sum() + initial.sum()).isfinite():  # fast arithmetic assumes that all are; a sum tells in a twentieth of the time
             predicted = [each.fill_(torch.nan) for each in predicted]
         ctx.programs, ctx.narrow = programs, narrow
         ctx.save_for_backward(weights, *buffers)

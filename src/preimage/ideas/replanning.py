@@ -25,12 +25,12 @@ from torch import Tensor
 from preimage.ideas.gripper_events import events_in
 from preimage.ideas.replan_config import ReplanConfig
 from preimage.ideas.timed_search import ByGaussNewton, Clock, Improve, Solution, by_adam
-from preimage.ideas.underway import Sensed, Underway, Window, to_goal
+from preimage.ideas.underway import Sensed, Underway, Window
 from preimage.method.config import PlanConfig
-from preimage.method.plan import problem_of
-from preimage.method.seam import Draft, Ideas, Problem
+from preimage.method.plan import draft_of, objective_of, problem_of
+from preimage.method.prediction_error import ToGoal
+from preimage.method.seam import Ideas, Problem
 from preimage.network.inputs import as_inputs
-from preimage.network.intention import IntentionSpace
 from preimage.network.pdvmrnn import PDVMRNN, Generated
 from preimage.records import Percept, Plan
 
@@ -174,7 +174,7 @@ class Replanner:
             plan = self._found or self._plan(start=start, goal=goal)
         self._found, self._held = None, self._refuse(plan)
         self._set_up(problem_of(self._model, start, goal, replace(self._config, horizon=len(plan))))
-        points = coordinates_of(plan.intention, self._problem.space, self._model)
+        points = self._problem.space.coordinates_of(torch.from_numpy(plan.intention)[None])
         self._problem.imagine(self._problem.space.intention(points), 1)  # the first time takes longer, and is not to be measured
         self._solution = Solution(points, self._clock.imagine(self._problem, points))
         imagined = self._imagined_joints()
@@ -189,7 +189,7 @@ class Replanner:
     def _set_up(self, problem: Problem) -> None:
         """Another problem, on the way of which nothing was sensed yet."""
         self._problem: Problem = problem
-        self._to_goal = to_goal(problem, self._ideas)
+        self._to_goal = objective_of(problem, self._ideas)
         self._improver: Improve = ByGaussNewton() if problem.space.training.shape[1] <= FEW else by_adam
         self._sensed: list[Sensed] = []
         self._num_doubts, self._num_waited = 0, 0
@@ -247,8 +247,7 @@ class Replanner:
 
     def _improve(self, window: Window) -> None:
         """Move the intention while time allows and it is worthwhile."""
-        earliest = min(max(self._to_goal.earliest, self._at), self._problem.num_steps - 1)
-        objective, before = Underway(replace(self._to_goal, earliest=earliest), window), self._solution
+        objective, before = Underway(self._from_now_on, window), self._solution
         for _ in range(self.settings.rounds):
             error = objective.errors(self._solution.generated)[0].item()
             if error <= self._content or self._clock.room < 1:
@@ -263,19 +262,15 @@ class Replanner:
 
     def _corrected(self) -> Way:
         """What a solution has the robot do: as a plan is corrected, from the arrival on that is best from now on."""
-        problem, generated = self._problem, self._solution.generated
-        earliest = min(max(self._to_goal.earliest, self._at), problem.num_steps - 1)
-        objective = replace(self._to_goal, earliest=earliest)
-        error, arrival = (each[0].item() for each in objective.errors(generated))
-        imagined = self._imagined_joints()
-        joints = torch.from_numpy(imagined + self._looks_saw)
+        problem, objective = self._problem, self._from_now_on
         intention = problem.space.intention(self._solution.points)
-        unexplained = error / max(objective.to_explain, 1e-9)
-        draft = Draft(generated, joints, int(arrival), error, unexplained, intention, imagined=joints)
+        found = draft_of(intention, problem, objective, generated=self._solution.generated)
+        joints = found.joints + torch.from_numpy(self._looks_saw).to(found.joints)
+        draft = replace(found, joints=joints, imagined=joints)
         for correct in self._ideas.corrections:
             draft = correct(draft, problem, objective)
         way = draft.joints.cpu().numpy()
-        return Way(way, way - imagined, draft.arrival, error, unexplained)
+        return Way(way, way - found.joints.cpu().numpy(), draft.arrival, found.error, found.unexplained)
 
     def _decide(self, window: Window | None, moved: bool) -> Belief:
         """The next command, and what is believed."""
@@ -325,6 +320,11 @@ class Replanner:
         return self._model.coding.decode(self._solution.generated.log_codes[0].exp()).double().cpu().numpy()
 
     @property
+    def _from_now_on(self) -> ToGoal:
+        """The goal's error, at a step still to come."""
+        return replace(self._to_goal, earliest=min(max(self._to_goal.earliest, self._at), self._problem.num_steps - 1))
+
+    @property
     def _ranges(self) -> Float[np.ndarray, " J"]:
         return np.array(self._model.sensors.joint_upper) - np.array(self._model.sensors.joint_lower)
 
@@ -350,15 +350,6 @@ class Replanner:
         """Whether the hand has closed about something on the way so far."""
         way = torch.from_numpy(self._way.joints[None, : self._at + 2])
         return bool(events_in(way, self._gripper or 0, self._model.coding).any())
-
-
-def coordinates_of(intention: Float[np.ndarray, " D"], space: IntentionSpace, model: PDVMRNN) -> Float[Tensor, "1 K"]:
-    """The point of a space from which an intention comes, or the nearest to it."""
-    count = space.training.shape[1]
-    corners = torch.cat([torch.zeros(1, count), torch.eye(count)]).to(space.training)
-    flat = space.intention(corners).flatten().double()
-    wanted = torch.from_numpy(intention).to(flat) - flat[0]
-    return torch.linalg.lstsq((flat[1:] - flat[0]).T, wanted[:, None]).solution.T.to(space.training)
 
 
 def nearest_step(way: Float[np.ndarray, "T J"], joints: Float[np.ndarray, " J"], ranges: Float[np.ndarray, " J"]) -> int:

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.ideas.gauss_newton import DAMPINGS, WORTHWHILE, Iterate, steps_from
+from preimage.ideas.gauss_newton import DAMPINGS, WORTHWHILE, GaussNewton, Iterate, steps_from
 from preimage.method.error_regression import LEAST_GAIN, descend
 from preimage.method.seam import Objective, Problem
 from preimage.network.pdvmrnn import Generated
@@ -19,8 +19,7 @@ FIRST_S = 0.02
 """What imagining one sequence is taken to last before it was measured (s)."""
 FORGETTING = 0.9
 """Share of a sequence's time that is left with every step: that a step was slow once must not keep all later ones from trying."""
-PROBE = 0.15
-"""How far each number is changed to see what it does, in standard deviations of the training intentions."""
+PROBE = GaussNewton.finite_difference_step
 DESCENT_COST = 6
 """Sequences that could be imagined in the time of an iteration of Adam: two, each there and back."""
 

@@ -7,16 +7,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from preimage.method.prediction_error import (
-    VISUAL_WEIGHT,
-    ToGoal,
-    goal_terms,
-    proprioceptive_error,
-    proprioceptive_residuals,
-    visual_error,
-    visual_residuals,
-)
-from preimage.method.seam import ErrorTerm, Ideas, Problem
+from preimage.method.prediction_error import ToGoal
+from preimage.network.divergence import VISUAL_WEIGHT, proprioceptive_error, proprioceptive_residuals, visual_error, visual_residuals
 from preimage.network.pdvmrnn import Generated
 
 
@@ -89,11 +81,3 @@ class Underway:
     @property
     def to_explain(self) -> float:
         return self.to_goal.to_explain
-
-
-def to_goal(problem: Problem, ideas: Ideas) -> ToGoal:
-    """What a plan of this problem is charged for (`method.plan.plan`)."""
-    terms: Sequence[ErrorTerm] = goal_terms(problem.goal, problem.config.modalities)
-    for add in ideas.terms:
-        terms = add(problem, terms)
-    return ToGoal(problem.start, terms, problem.config.delay_penalty, problem.earliest_arrival)

@@ -58,16 +58,21 @@ def plan(
     began = time.perf_counter()
     config, ideas, start = config or PlanConfig(), ideas or Ideas(), start or home(model)
     problem = problem_of(model, start, goal, config)
-    terms: Sequence[ErrorTerm] = goal_terms(problem.goal, config.modalities)
-    for add in ideas.terms:
-        terms = add(problem, terms)
-    objective = ToGoal(problem.start, terms, config.delay_penalty, problem.earliest_arrival)
+    objective = objective_of(problem, ideas)
     found = regress(problem, objective, ideas)
     draft = draft_of(found.best, problem, objective)
     for correct in ideas.corrections:
         draft = correct(draft, problem, objective)
     errors, seconds = found.errors.double().cpu().numpy(), time.perf_counter() - began
     return plan_of(draft, problem, start=start, goal=goal, errors=errors, stopped=found.stopped, seconds=seconds)
+
+
+def objective_of(problem: Problem, ideas: Ideas) -> ToGoal:
+    """What a plan is charged for: equation 2, and what ideas add to it."""
+    terms: Sequence[ErrorTerm] = goal_terms(problem.goal, problem.config.modalities)
+    for add in ideas.terms:
+        terms = add(problem, terms)
+    return ToGoal(problem.start, terms, problem.config.delay_penalty, problem.earliest_arrival)
 
 
 def regress(problem: Problem, objective: Objective, ideas: Ideas) -> Regression:
@@ -84,9 +89,13 @@ def random_guesses(problem: Problem, objective: Objective, generator: torch.Gene
 
 
 @torch.no_grad()
-def draft_of(intention: IntentionState, problem: Problem, objective: Objective) -> Draft:
-    """What is imagined from an intention, its error, and when it arrives."""
-    generated = problem.imagine(intention)
+def draft_of(intention: IntentionState, problem: Problem, objective: Objective, *, generated: Generated | None = None) -> Draft:
+    """What is imagined from an intention, its error, and when it arrives.
+
+    Args:
+        generated: what is imagined, where it is known.
+    """
+    generated = problem.imagine(intention) if generated is None else generated
     error, arrival = (each[0].item() for each in objective.errors(generated))
     joints = problem.model.coding.decode(generated.log_codes[0].exp()).double()
     return Draft(generated, joints, int(arrival), error, error / max(objective.to_explain, 1e-9), intention, joints)

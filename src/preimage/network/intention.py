@@ -60,6 +60,13 @@ class IntentionSpace:
     """Coordinates of the training intentions."""
     intention: Callable[[Float[Tensor, "B K"]], IntentionState]
 
+    def coordinates_of(self, intentions: Float[Tensor, "B D"]) -> Float[Tensor, "B K"]:
+        """The points from which intentions come (`IntentionState.flatten`), or the nearest to them."""
+        count = self.training.shape[1]
+        corners = torch.cat([torch.zeros(1, count), torch.eye(count)]).to(self.training)
+        flat = self.intention(corners).flatten().double()
+        return torch.linalg.lstsq((flat[1:] - flat[0]).T, (intentions.to(flat) - flat[0]).T).solution.T.to(self.training)
+
 
 class FreeTable(nn.Module):
     """One free intention per training sequence, the paper's.

@@ -27,12 +27,10 @@ from huggingface_hub.errors import (
     RevisionNotFoundError,
 )
 
+from preimage.storage.run_files import CALIBRATION, MEMORY
+
 PREFIX = "hf:"
 NEEDED = ("config.json", "model.safetensors", "shown.npz")
-MEMORY = "memory.safetensors"
-"""Of the demonstrations; a run that was trained by the paper alone has none."""
-CALIBRATION = "calibration.json"
-"""Of trust in its plans; a run that nobody calibrated has none."""
 CARD = "README.md"
 KEPT_THERE = (*NEEDED, MEMORY, CALIBRATION, CARD)
 """All that is sent and fetched."""

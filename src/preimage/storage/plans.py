@@ -9,9 +9,11 @@ imagined.mp4   a film of it, and imagined.png a figure (written by `preimage pla
 
 import contextlib
 import csv
+import io
 import json
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -76,14 +78,19 @@ def save_plan(
         with arrays.open("wb") as file:
             np.savez_compressed(file, **{name: getattr(plan, name) for name in ARRAYS}, **known_of(plan))
         with table.open("w", newline="", encoding="utf-8") as file:
-            rows = csv.writer(file)
-            rows.writerow(["time_s", *plan.joint_names])
-            for step, joints in enumerate(commands):
-                rows.writerow([round(step / (rate_hz or plan.rate_hz), 6), *(round(float(angle), 6) for angle in joints)])
+            write_commands(file, commands, plan.joint_names, rate_hz=rate_hz or plan.rate_hz)
         facts = {name: getattr(plan, name) for name in (*NUMBERS, "unexplained")}
         facts |= {"joint_names": plan.joint_names, "stopped": plan.stopped.name, "scene": asdict(scene) if scene else None}
         facts |= {"trust": asdict(plan.trust)} if plan.trust else {}
         about.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+
+
+def write_commands(file: io.TextIOBase, commands: Float[np.ndarray, "S J"], joint_names: Sequence[str], *, rate_hz: float) -> None:
+    """Joints to command as a table, one row a step, of `rate_hz` rows a second; the file leaves line ends as they are (`newline=""`)."""
+    rows = csv.writer(file)
+    rows.writerow(["time_s", *joint_names])
+    for step, joints in enumerate(commands):
+        rows.writerow([round(step / rate_hz, 6), *(round(float(angle), 6) for angle in joints)])
 
 
 def save_episode(

@@ -107,7 +107,7 @@ def add_goals(api: APIRouter, studio: Studio) -> None:
 
     @api.get("/studio", summary="What was opened: the run, its joints, presets and table, the data sets")
     def opened() -> dict[str, Any]:
-        more = {"has_runs": bool(studio.trainings.listed()), "has_results": bool(evaluations(studio.results))}
+        more = {"has_runs": studio.trainings.has_any, "has_results": any(True for _ in evaluations(studio.results))}
         return run.described() | {"data": studio.recordings.listed()} | more
 
     @api.get("/scene", summary="What the camera sees before anything moves")
@@ -225,7 +225,7 @@ def add_rest(api: APIRouter, studio: Studio) -> None:
 
     @api.get("/results", summary="What was measured before")
     def results() -> list[dict[str, Any]]:
-        return evaluations(studio.results)
+        return list(evaluations(studio.results))
 
 
 async def by_worker(jobs: Jobs, work: Callable[[], Value]) -> Value:

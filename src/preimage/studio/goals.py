@@ -14,7 +14,7 @@ import numpy as np
 
 from preimage.data.decoding import NotShown, picture
 from preimage.data.view import look
-from preimage.method.plan import home
+from preimage.network.inputs import home
 from preimage.records import Percept, Scene
 from preimage.studio.opened import OpenedRun
 from preimage.studio.pictures import inline

@@ -12,9 +12,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.method.plan import home, problem_of
+from preimage.method.plan import problem_of
 from preimage.method.seam import Problem
 from preimage.network.coding import to_frames
+from preimage.network.inputs import home
 from preimage.network.pdvmrnn import Generated
 from preimage.robot.kinematics import ACTIVE_JOINTS, forward_kinematics
 from preimage.studio.opened import OpenedRun

@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import Any
 
 from preimage.network.config import Sensors
-from preimage.presets import MEMORY, Planner, PlanOptions, Preset, load_memory
+from preimage.presets import Planner, PlanOptions, Preset, load_memory
 from preimage.robot import TASKS, Arm
 from preimage.robot.limits import Limits, limits_seen
+from preimage.storage.run_files import MEMORY
 from preimage.storage.runs import find_run, load_model, made_from, read_body, read_config, read_settings, read_shown, read_view
 from preimage.studio.table import Table
 

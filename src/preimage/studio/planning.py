@@ -1,5 +1,6 @@
 """A plan as a job: what the page sees while it is searched for, what it gets at the end, and what happens when it is executed."""
 
+import io
 import shlex
 import shutil
 import tempfile
@@ -18,7 +19,7 @@ from preimage.network.coding import to_frames
 from preimage.presets import PlanOptions, Preset
 from preimage.records import NEAR_BELOW, REACHED_BELOW, Demonstration, Plan, Trial, Verdict
 from preimage.robot.limits import commands_of
-from preimage.storage.plans import save_episode
+from preimage.storage.plans import save_episode, write_commands
 from preimage.storage.recordings import save
 from preimage.studio.goals import Goal
 from preimage.studio.jobs import Job, Jobs
@@ -203,9 +204,9 @@ def commanded(run: OpenedRun, plan: Plan) -> tuple[np.ndarray, float]:
 def commands_csv(run: OpenedRun, plan: Plan) -> str:
     """The joints to command as a table."""
     commands, rate_hz = commanded(run, plan)
-    rows = [",".join(["time_s", *plan.joint_names])]
-    rows += [",".join(f"{number:.6f}" for number in (step / rate_hz, *joints)) for step, joints in enumerate(commands)]
-    return "\n".join(rows) + "\n"
+    table = io.StringIO(newline="")
+    write_commands(table, commands, plan.joint_names, rate_hz=rate_hz)
+    return table.getvalue()
 
 
 def episode_zip(run: OpenedRun, plan: Plan) -> bytes:

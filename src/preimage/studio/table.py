@@ -16,13 +16,13 @@ from jaxtyping import Float, UInt8
 
 from preimage.records import Percept, Plan, Scene, Trial
 from preimage.robot import Arm, Task, forward_kinematics, with_frames
-from preimage.robot.arm import GRIPPER_OPEN_M, OBJECT, OBJECT_HEIGHT_M
 from preimage.robot.execution import execute
-from preimage.robot.kinematics import ACTIVE_JOINTS, grasping_joints, reaching_joints
+from preimage.robot.kinematics import ACTIVE_JOINTS, reaching_joints
 from preimage.robot.move_object import APART_M as OBJECT_APART_M
-from preimage.robot.move_object import CARRY_M, MoveObject
+from preimage.robot.move_object import MoveObject
 from preimage.robot.reach import MARGIN_M, Reach
-from preimage.robot.task import apart_m, at_height, is_inside_margin
+from preimage.robot.rim import aim_of, sense_ends
+from preimage.robot.task import apart_m, is_inside_margin
 from preimage.robot.two_points import APART_M as GOAL_APART_M
 from preimage.robot.two_points import ReachTwo
 
@@ -52,7 +52,7 @@ class Table:
     @property
     def goal_name(self) -> str:
         """What of a scene lies where a person clicked."""
-        return "circle" if isinstance(self.task, MoveObject) else "goal"
+        return aim_of(self.task)
 
     @property
     def goal_height_m(self) -> float:
@@ -109,8 +109,7 @@ class Table:
     def goal(self, scene: Scene) -> Percept:
         """What would be sensed if the scene were solved."""
         with self._lock:
-            self._lay_out_solved(self.task, scene)
-            return self._arm.sense()
+            return sense_ends(self._arm, self.task, scene)[1]
 
     def large(self, scene: Scene) -> UInt8[np.ndarray, "H W 1"]:
         """The start, large enough for people."""
@@ -145,15 +144,3 @@ class Table:
             return bool(inside and not np.isnan(reaching_joints(place)).any())
         assert isinstance(self.task, ReachTwo | MoveObject)
         return bool(self.task.is_in_reach(place[:2]))
-
-    def _lay_out_solved(self, task: Task, scene: Scene) -> None:
-        """The arm stands where a demonstration of the scene ends, and what was to be moved lies in its place."""
-        self._arm.set_up(task.workspace)
-        place = np.array(scene.positions_m[self.goal_name])
-        positions_m = {name: scene.positions_m[name] for name in task.workspace.things}
-        if not isinstance(task, MoveObject):
-            self._arm.reset(reaching_joints(place), positions_m)
-            return
-        above = grasping_joints(at_height(place[:2], CARRY_M))
-        positions_m[OBJECT] = (*place[:2].tolist(), OBJECT_HEIGHT_M / 2)
-        self._arm.reset(np.append(above, GRIPPER_OPEN_M), positions_m)

@@ -24,6 +24,10 @@ class Trainings:
     def __init__(self, folders: Sequence[Path]) -> None:
         self._folders = folders
 
+    @property
+    def has_any(self) -> bool:
+        return bool(self._runs())
+
     def listed(self) -> list[dict[str, Any]]:
         """The runs there are now, as the page gets them."""
         return [self.described(name) for name in self._runs()]
