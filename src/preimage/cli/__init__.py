@@ -30,9 +30,9 @@ class Verb:
 VERBS = {
     "demo": Verb("acting", "demo", "Let the bundled model plan to goals it never saw, execute the plans, and show films and a report."),
     "studio": Verb("showing", "studio", "Open a local page: click a goal, watch how it is imagined, and let the arm move."),
-    "record": Verb("learning", "record_", "Record demonstrations of a task on the simulated arm, as a LeRobotDataset v3.0."),
-    "check": Verb("learning", "check", "Say whether recordings can be learned from, what is wrong with them and what would help."),
-    "train": Verb("learning", "train_", "Train a network on the demonstrations of a data set."),
+    "record": Verb("recording", "record_", "Record demonstrations of a task on the simulated arm, as a LeRobotDataset v3.0."),
+    "check": Verb("recording", "check", "Say whether recordings can be learned from, what is wrong with them and what would help."),
+    "train": Verb("training", "train_", "Train a network on the demonstrations of a data set."),
     "plan": Verb("acting", "plan_", "Imagine a way to a goal, or to several in a row."),
     "execute": Verb("acting", "execute_", "Let the simulated arm execute a plan, and judge where it ends."),
     "calibrate": Verb(
