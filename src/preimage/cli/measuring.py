@@ -5,7 +5,7 @@ What a verb's signature does not need is loaded in its function, so that a word 
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from tyro.conf import Positional
@@ -14,9 +14,12 @@ from preimage.cli.screen import console, following, known_task, remark, validate
 from preimage.cli.trusting import evaluate_trust
 from preimage.compute.choices import Device
 from preimage.evaluation.loops import Disturbed, Loop
-from preimage.presets import PlanOptions, Preset, ReplanConfig, load_planner
+from preimage.presets import Planner, PlanOptions, Preset, ReplanConfig, load_planner
 from preimage.storage.atomic_write import write_json
 from preimage.storage.output_folders import validate_output_file
+
+if TYPE_CHECKING:
+    from preimage.compute.processes import ProcessGroup
 
 MOST_GOALS = 100_000
 EVALUATION = {"noun": "evaluation", "marks": (b'"provenance"',)}
@@ -69,14 +72,9 @@ def evaluate_(
         as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
         config: how the plans are searched for.
     """
-    from preimage.compute.precision import describe_precision
     from preimage.compute.processes import join_processes
-    from preimage.compute.threads import choose_threads
-    from preimage.evaluation.evaluate import Evaluated, evaluate, result_of
     from preimage.evaluation.recipes import paper_of
-    from preimage.robot import TASKS, Arm, with_frames
-    from preimage.storage.provenance import provenance
-    from preimage.storage.runs import find_run, made_from, read_shown
+    from preimage.storage.runs import find_run, read_shown
 
     known_task(task)
     validate_goals(goals, most=MOST_GOALS)
@@ -84,6 +82,8 @@ def evaluate_(
     validate_output_file(out, **EVALUATION)
     if disturb is not None:
         validate_disturbance(disturb, task, loop)
+        if disturb == "all" and devices > 1:
+            raise ValueError(f"--disturb all is one process's work: give --devices 1, not {devices}")
     if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     if data is not None:
@@ -93,31 +93,47 @@ def evaluate_(
         return evaluate_trust(run, out, task, goals, seed, device, config)
     group = join_processes(devices=devices, num_nodes=1, device=device)
     folder = find_run(run)
-    planner, learned_from, made = load_planner(folder, config, device=group.device), read_shown(folder), made_from(folder)
-    about = {"task": task, "model": run, "preset": as_} | made
-    pixels = planner.model.sensors.height
-    filmed = with_frames(TASKS[task], pixels)
-    about |= {"seed": seed, "loop": loop, "pixels": pixels, "paper": paper_of(task, made["num_demonstrations"], loop)}
+    shown = read_shown(folder)
+    planner, about = load_to_evaluate(folder, config, group)
+    about = {"task": task, "model": run, "preset": as_, "seed": seed, "loop": loop} | about
+    about |= {"paper": paper_of(task, about["num_demonstrations"], loop)}
     if disturb or loop == "replan":
         about |= {"disturb": disturb, "replan": asdict(replan)}
-    about |= {"plan": asdict(planner.options), "provenance": provenance(group.device)}
-    mine = len(group.share(goals))
+    if disturb == "all":
+        return side_by_side(planner, about, out, goals=goals, seed=seed, replan=replan)
+    how = {"loop": loop, "disturb": disturb, "replan": replan, "with_baselines": baselines, "shown": shown}
+    return count_reached(planner, about, out, group, goals=goals, seed=seed, **how)
+
+
+def load_to_evaluate(folder: Path, config: PlanOptions, group: "ProcessGroup") -> tuple[Planner, dict[str, Any]]:
+    """The planner of a run, and what a result says of it."""
+    from preimage.compute.precision import describe_precision
+    from preimage.compute.threads import choose_threads
+    from preimage.storage.provenance import provenance
+    from preimage.storage.runs import made_from
+
+    planner = load_planner(folder, config, device=group.device)
     remark(describe_precision(config.precision, group.device))
     if group.size == 1:
         remark(choose_threads())
-    if disturb == "all":
-        if group.size > 1:
-            raise ValueError(f"--disturb all is one process's work: give --devices 1, not {devices}")
-        return side_by_side(planner, filmed, about, out, goals=goals, seed=seed, replan=replan)
-    with following("evaluating", total=mine, shown=group.first) as follow:
+    plan = {"pixels": planner.model.sensors.height, "plan": asdict(planner.options)}
+    return planner, made_from(folder) | plan | {"provenance": provenance(group.device)}
+
+
+def count_reached(planner: Planner, about: dict[str, Any], out: Path, group: "ProcessGroup", *, goals: int, **how: Any) -> None:
+    """The part of `evaluate` that counts, in one loop; the result is written by the first process."""
+    from preimage.evaluation.evaluate import Evaluated, evaluate, result_of
+    from preimage.robot import TASKS, Arm, with_frames
+
+    task = with_frames(TASKS[about["task"]], about["pixels"])
+    with following("evaluating", total=len(group.share(goals)), shown=group.first) as follow:
         reached: list[bool] = []
 
         def tell(one: Evaluated) -> None:
             reached.append(one.trial.success)
             follow(done=len(reached), text=f"{sum(reached)}/{len(reached)} reached")
 
-        how = {"loop": loop, "disturb": disturb, "replan": replan, "with_baselines": baselines}
-        evaluated = evaluate(planner, Arm(), filmed, goals=goals, seed=seed, shown=learned_from, **how, progress=tell, group=group)
+        evaluated = evaluate(planner, Arm(), task, goals=goals, **how, progress=tell, group=group)
     if not group.first:
         return
     result = result_of(evaluated, about)
@@ -141,11 +157,12 @@ def validate_disturbance(disturb: str, task: str, loop: Loop) -> None:
         disturbance_of(disturb, scene, half=1, grasp=1, seed=(0,), other=scene)
 
 
-def side_by_side(planner: Any, task: Any, about: dict[str, Any], out: Path, **how: Any) -> None:
+def side_by_side(planner: Planner, about: dict[str, Any], out: Path, **how: Any) -> None:
     """The part of `evaluate` that lets everything go wrong in every loop; the counts so far are written after each goal."""
     from preimage.evaluation.disturbed import cells_of, try_all
-    from preimage.robot import Arm
+    from preimage.robot import TASKS, Arm, with_frames
 
+    task = with_frames(TASKS[about["task"]], about["pixels"])
     about = {name: value for name, value in about.items() if name not in ("loop", "paper")}
     with following("evaluating", total=how["goals"]) as follow:
 
