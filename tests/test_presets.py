@@ -16,7 +16,7 @@ from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.restarts import Restarts
 from preimage.method.config import PlanConfig, TrainConfig
 from preimage.method.error_regression import adam
-from preimage.method.plan import random_guesses
+from preimage.method.plan import draft_of, random_guesses
 from preimage.network.config import ModelConfig
 from preimage.network.inputs import home
 from preimage.network.pdvmrnn import PDVMRNN
@@ -32,7 +32,8 @@ def test_the_paper_has_no_idea() -> None:
     assert paper == PlanOptions()
     assert {field.name: getattr(paper, field.name) for field in fields(PlanConfig)} == vars(PlanConfig())
     ideas = paper.ideas(None)
-    assert (ideas.initial_guess, ideas.search, list(ideas.terms), list(ideas.corrections)) == (random_guesses, adam, [], [])
+    assert (ideas.initial_guess, ideas.search, ideas.first_draft) == (random_guesses, adam, None)
+    assert (list(ideas.terms), list(ideas.corrections)) == ([], [])
     assert TrainOptions().augmentations() == []
 
 
@@ -66,7 +67,7 @@ SWITCHES: dict[str, Any] = {
 def parts(options: PlanOptions, memory: DemonstrationMemory) -> list[str]:
     """What plans are made with, by name."""
     ideas = options.ideas(memory)
-    made_of = [ideas.initial_guess, ideas.search, *ideas.terms, *ideas.corrections]
+    made_of = [ideas.initial_guess, ideas.search, *ideas.terms, ideas.first_draft or draft_of, *ideas.corrections]
     return [getattr(part, "__name__", type(part).__name__) for part in made_of]
 
 

@@ -206,8 +206,6 @@ class PlanOptions(PlanConfig):
             search = Restarts(search, NearestToGoal(self.restarts), self.restart_threshold)
         terms: list[TermsOf] = [hold_goal] if self.hold_goal else []
         corrections: list[PlanCorrection] = [rest_at_goal] if self.hold_goal else []
-        if augmentation := self.augmentation():
-            corrections.insert(0, augmentation)
         if memory is not None:
             guess = KrigedGuess(memory) if self.guess == "kriged" else guess
             if self.expected_joints:
@@ -216,7 +214,7 @@ class PlanOptions(PlanConfig):
                 terms.append(ArriveAfterEvents(memory.event_joint, memory.num_events))
             if self.end_correction or self.gripper_events:
                 corrections.append(EndCorrection(memory, at_goal=self.end_correction, at_events=self.gripper_events))
-        return Ideas(guess, search, terms, corrections)
+        return Ideas(guess, search, terms, self.augmentation(), corrections)
 
 
 class Planner:
@@ -295,8 +293,8 @@ class Planner:
         from preimage.ideas.no_goal import imagine_without_goal
         from preimage.method.seam import Ideas
 
-        augmentation = self.options.augmentation()
-        return imagine_without_goal(self.model, start, config=self.options, ideas=Ideas(corrections=[augmentation] if augmentation else []))
+        ideas = Ideas(first_draft=self.options.augmentation())
+        return imagine_without_goal(self.model, start, config=self.options, ideas=ideas)
 
     def follow(self, plan: "Plan") -> "Policy":
         """One-step prediction under a plan's intention (`method.one_step.follow`)."""

@@ -16,11 +16,11 @@ from preimage.records import Percept, Plan, Stopped
 
 def imagine_without_goal(model: PDVMRNN, start: Percept, *, config: PlanConfig | None = None, ideas: Ideas | None = None) -> Plan:
     """What the model imagines when nothing is wanted: its intention at the prior mean. The baseline that shows what a goal buys."""
-    began = time.perf_counter()
+    began, ideas = time.perf_counter(), ideas or Ideas()
     problem = problem_of(model, start, home(model), config or PlanConfig())
     objective = ToGoal(problem.start, goal_terms(problem.start, "vision"))
-    draft = draft_of(model.intention_table.prior_mean(1), problem, objective)
-    for correct in (ideas or Ideas()).corrections:
+    draft = (ideas.first_draft or draft_of)(model.intention_table.prior_mean(1), problem, objective)
+    for correct in ideas.corrections:
         draft = correct(draft, problem, objective)
     draft = replace(draft, error=float(objective.start_error(draft.generated)[0]), arrival=problem.num_steps - 1)
     seconds = time.perf_counter() - began

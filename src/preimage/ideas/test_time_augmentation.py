@@ -10,13 +10,15 @@ all sides alike, it errs by as much to one side as to the other, so that the mea
 """
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from preimage.method.plan import draft_of
 from preimage.method.seam import Draft, Objective, Problem
+from preimage.network.intention import IntentionState
 from preimage.network.pdvmrnn import Generated
 
 
@@ -47,13 +49,11 @@ class TestTimeAugmentation:
         return shifted(picture.expand(len(sides), *picture.shape), self.by * picture.shape[1] * picture.new_tensor(sides))
 
     @torch.no_grad()
-    def __call__(self, draft: Draft, problem: Problem, objective: Objective) -> Draft:
+    def __call__(self, intention: IntentionState, problem: Problem, objective: Objective) -> Draft:
         model, pixels = problem.model, self.looks(problem.start[0])
         start = pixels, problem.start[1].expand(len(pixels), *problem.start[1].shape)
-        intention = draft.intention[torch.zeros(len(pixels), dtype=torch.long)]
-        generated = model.generate_closed_loop(intention, start, num_steps=problem.num_steps, dtype=problem.dtype)
-        first = Generated(generated.pixels[:1], generated.log_codes[:1])
-        error, arrival = (each[0].item() for each in objective.errors(first))
+        repeated = intention[torch.zeros(len(pixels), dtype=torch.long)]
+        generated = model.generate_closed_loop(repeated, start, num_steps=problem.num_steps, dtype=problem.dtype)
+        unmoved = Generated(generated.pixels[:1], generated.log_codes[:1])
         joints = model.coding.decode(generated.log_codes.exp()).double().mean(0)
-        unexplained = error / max(objective.to_explain, 1e-9)
-        return Draft(first, joints, int(arrival), error, unexplained, draft.intention, imagined=joints)
+        return replace(draft_of(intention, problem, objective, generated=unmoved), joints=joints, imagined=joints)

@@ -60,7 +60,7 @@ def plan(
     problem = problem_of(model, start, goal, config)
     objective = objective_of(problem, ideas)
     found = regress(problem, objective, ideas)
-    draft = draft_of(found.best, problem, objective)
+    draft = (ideas.first_draft or draft_of)(found.best, problem, objective)
     for correct in ideas.corrections:
         draft = correct(draft, problem, objective)
     errors, seconds = found.errors.double().cpu().numpy(), time.perf_counter() - began

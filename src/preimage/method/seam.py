@@ -4,9 +4,10 @@
     InitialGuess     problem, objective, generator -> coordinates       where a search begins
     Search           problem, objective, coordinates -> Regression      how an intention is moved
     ErrorTerm        generated -> error a step, residuals       what is added to the error of the goal
+    FirstDraft       intention, problem, objective -> Draft     what is imagined from the intention that was found
     PlanCorrection   draft, problem -> draft                    what is made of a plan that was found
 
-`Ideas()` is the paper: random guesses, Adam, the goal's own error, nothing corrected.
+`Ideas()` is the paper: random guesses, Adam, the goal's own error, one imagination, nothing corrected.
 """
 
 from collections.abc import Callable, Sequence
@@ -195,6 +196,12 @@ class Draft:
     """Joints that are known from elsewhere, on the way and, last, at the goal."""
 
 
+class FirstDraft(Protocol):
+    """The draft of an intention."""
+
+    def __call__(self, intention: IntentionState, problem: Problem, objective: Objective) -> Draft: ...
+
+
 class PlanCorrection(Protocol):
     """Another draft instead of the one that was found."""
 
@@ -212,4 +219,5 @@ class Ideas:
     initial_guess: InitialGuess | None = None
     search: Search | None = None
     terms: Sequence[TermsOf] = field(default=())
+    first_draft: FirstDraft | None = None
     corrections: Sequence[PlanCorrection] = field(default=())
