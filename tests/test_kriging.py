@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from preimage.ideas.kriging import MAX_FIT_POINTS, krige
+from preimage.ideas.kriging import MAX_FIT_POINTS, Endings, krige
 
 
 def endings(count: int = 40, noise: float = 0.0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -17,13 +17,13 @@ def endings(count: int = 40, noise: float = 0.0) -> tuple[torch.Tensor, torch.Te
 
 def test_what_is_known_is_found_again() -> None:
     features, values = endings()
-    assert krige([(features[7], features)], values).mean == pytest.approx(values[7].numpy(), abs=0.01)
+    assert krige([(features[7], Endings(features))], values).mean == pytest.approx(values[7].numpy(), abs=0.01)
 
 
 def test_what_lies_between_is_nearer_than_the_nearest() -> None:
     features, values = endings()
     others = torch.arange(40) != 7
-    predicted = krige([(features[7], features[others])], values[others]).mean
+    predicted = krige([(features[7], Endings(features[others]))], values[others]).mean
     nearest = values[others][(features[others] - features[7]).square().sum(1).argmin()]
     assert (predicted - values[7]).norm() < 0.2 * (nearest - values[7]).norm()
 
@@ -32,7 +32,7 @@ def test_what_lies_between_is_nearer_than_the_nearest() -> None:
 def test_the_deviation_is_that_of_the_noise(noise: float) -> None:
     amid = torch.tensor([0.5, 0.5, 0.25, 0.25])
     features, values = endings(200, noise)
-    predicted = krige([(amid, features)], values)
+    predicted = krige([(amid, Endings(features))], values)
     assert predicted.deviation == pytest.approx(torch.full((2,), noise).numpy(), rel=0.3)
 
 
@@ -41,23 +41,34 @@ def test_of_many_endings_those_that_look_alike_choose_how_to_ask_all() -> None:
     features, values = endings(2 * MAX_FIT_POINTS)
     others = torch.arange(2 * MAX_FIT_POINTS) != 7
     shown = features[others]
-    predicted = krige([(torch.zeros(4), torch.zeros_like(shown)), (features[7], shown)], values[others])
+    predicted = krige([(torch.zeros(4), Endings(torch.zeros_like(shown))), (features[7], Endings(shown))], values[others])
     assert predicted.mean == pytest.approx(values[7].numpy(), abs=1e-3)
 
 
 def test_what_lies_beyond_all_endings_is_told_less_surely() -> None:
     features, values = endings()
-    amid, beyond = (krige([(torch.tensor([a, a, a * a, a * a]), features)], values) for a in (0.5, 2.0))
+    amid, beyond = (krige([(torch.tensor([a, a, a * a, a * a]), Endings(features))], values) for a in (0.5, 2.0))
     assert (beyond.deviation > 3 * amid.deviation).all()
 
 
 def test_a_single_ending_tells_itself_and_is_not_trusted() -> None:
-    predicted = krige([(torch.ones(3), torch.zeros(1, 3))], torch.tensor([[4.0, 5.0]]))
+    predicted = krige([(torch.ones(3), Endings(torch.zeros(1, 3)))], torch.tensor([[4.0, 5.0]]))
     assert predicted.mean.tolist() == [4.0, 5.0]
     assert predicted.deviation.isinf().all()
 
 
 def test_endings_that_look_all_the_same_tell_their_mean() -> None:
-    predicted = krige([(torch.zeros(3), torch.zeros(4, 3))], torch.tensor([[0.0], [2.0], [4.0], [6.0]]))
+    predicted = krige([(torch.zeros(3), Endings(torch.zeros(4, 3)))], torch.tensor([[0.0], [2.0], [4.0], [6.0]]))
     assert predicted.mean.item() == pytest.approx(3.0, abs=1e-4)
     assert predicted.deviation.item() > 2
+
+
+def test_what_is_asked_before_changes_nothing() -> None:
+    """The matrices are kept, and the same answers come of them."""
+    features, values = endings()
+    once, asked = Endings(features), Endings(features)
+    for goal in (features[3], features[9] + 0.1):
+        krige([(goal, asked)], values[:, :1])
+    first, later = (krige([(features[7], known)], values) for known in (once, asked))
+    assert first.mean.tolist() == later.mean.tolist()
+    assert first.deviation.tolist() == later.deviation.tolist()

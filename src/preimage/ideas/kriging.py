@@ -6,13 +6,14 @@ quadratic, falls off slowly, with a constant mean. Its scale and noise are those
 and how well it is says how far to trust the prediction (leave one out; Rasmussen and Williams 2006, chapter 5).
 
 >>> features, values = torch.arange(6.0)[:, None], 10 * torch.arange(6.0)[:, None]
->>> predicted = krige([(torch.tensor([2.5]), features)], values)
+>>> predicted = krige([(torch.tensor([2.5]), Endings(features))], values)
 >>> round(predicted.mean.item()), bool(predicted.deviation < 5)
 (25, True)
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -25,7 +26,43 @@ NOISES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 MAX_FIT_POINTS = 200
 """Endings by which view, length and noise are chosen, the nearest where there are more: to try all takes their number cubed, each time."""
 
-View = tuple[Float[Tensor, " _"], Float[Tensor, "N _"]]
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """How alike endings are, by one length and one noise."""
+
+    length: float
+    noise: float
+    inverse: Float[Tensor, "M M"]
+    """Of the kernel between all endings, with its noise and its border (`bordered`)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Endings:
+    """Features of N endings. What predictions need of them, whatever is asked for, is worked out once, in double precision."""
+
+    features: Float[Tensor, "N F"]
+
+    @cached_property
+    def points(self) -> Float[Tensor, "N F"]:
+        return self.features.double().cpu()  # the matrices are too small for a GPU
+
+    @cached_property
+    def distances(self) -> Float[Tensor, "N N"]:
+        """Squared."""
+        return torch.cdist(self.points, self.points).square()
+
+    @cached_property
+    def kernels(self) -> list[Kernel]:
+        """Those that are tried."""
+        return [self.kernel(scale * float(usual(self.distances)), noise) for scale in SCALES for noise in NOISES]
+
+    def kernel(self, length: float, noise: float) -> Kernel:
+        own = torch.cat([torch.ones(len(self.points)), torch.zeros(1)]).double().diag()
+        return Kernel(length, noise, torch.linalg.inv(bordered(1 / (1 + self.distances / length)) + noise * own))
+
+
+View = tuple[Float[Tensor, " _"], Endings]
 """What is looked at: the wanted features, and those of the endings."""
 
 
@@ -40,10 +77,9 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What one length of the kernel and one noise make of a view."""
+    """What one kernel makes of a view."""
 
-    length: float
-    noise: float
+    kernel: Kernel
     prediction: Prediction
     residual: float
     """How badly each ending is predicted by all others: the sum of the logarithms of the mean squared leave-one-out residuals."""
@@ -59,43 +95,40 @@ def krige(views: Sequence[View], values: Float[Tensor, "N V"]) -> Prediction:
     tried = [(fit, view) for view in views for fit in fits(*nearest(*view, values))]
     best, view = min(tried, key=lambda each: each[0].residual)
     if len(values) > MAX_FIT_POINTS:
-        (best,) = fits(*view, values, lengths=(best.length,), noises=(best.noise,))
+        (best,) = fits(*view, values, kernels=[view[1].kernel(best.kernel.length, best.kernel.noise)])
     return Prediction(best.prediction.mean.to(values), best.prediction.deviation.to(values))
 
 
 def nearest(
-    wanted: Float[Tensor, " F"], features: Float[Tensor, "N F"], values: Float[Tensor, "N V"]
-) -> tuple[Float[Tensor, " F"], Float[Tensor, "M F"], Float[Tensor, "M V"]]:
+    wanted: Float[Tensor, " F"], endings: Endings, values: Float[Tensor, "N V"]
+) -> tuple[Float[Tensor, " F"], Endings, Float[Tensor, "M V"]]:
     """The endings that look most like what is wanted, at most MAX_FIT_POINTS of them."""
-    rows = torch.cdist(wanted[None], features)[0].argsort()[:MAX_FIT_POINTS] if len(values) > MAX_FIT_POINTS else slice(None)
-    return wanted, features[rows], values[rows]
+    if len(values) <= MAX_FIT_POINTS:
+        return wanted, endings, values
+    rows = torch.cdist(wanted[None], endings.features)[0].argsort()[:MAX_FIT_POINTS]
+    return wanted, Endings(endings.features[rows]), values[rows]
 
 
 def fits(
     wanted: Float[Tensor, " F"],
-    features: Float[Tensor, "N F"],
+    endings: Endings,
     values: Float[Tensor, "N V"],
     *,
-    lengths: Sequence[float] | None = None,
-    noises: Sequence[float] = NOISES,
+    kernels: Sequence[Kernel] | None = None,
 ) -> Iterator[Fit]:
-    """What each length of the kernel and each noise makes of a view, in double precision."""
-    points, asked, known = (each.double().cpu() for each in (features, wanted[None], values))  # the matrices are too small for a GPU
+    """What each kernel makes of a view, in double precision."""
+    asked, known = (each.double().cpu() for each in (wanted[None], values))
     targets = torch.cat([known, known.new_zeros(1, known.shape[1])])
-    distances, ways = torch.cdist(points, points).square(), torch.cdist(asked, points)[0].square()
-    own = torch.cat([torch.ones(len(points)), torch.zeros(1)]).double().diag()
-    for length in lengths or [scale * float(usual(distances)) for scale in SCALES]:
-        alike = bordered(1 / (1 + distances / length))
-        towards = torch.cat([1 / (1 + ways / length), torch.ones(1).double()])
-        for noise in noises:
-            inverse = torch.linalg.inv(alike + noise * own)
-            weights = inverse @ targets  # of the endings, and the mean
-            variances = 1 / inverse.diagonal()[:-1, None]  # of each ending, the others known
-            residuals = variances * weights[:-1]
-            variance = 1 + noise - towards @ inverse @ towards
-            deviation = (variance * (residuals.square() / variances).mean(0)).clamp(min=0).sqrt()
-            residual = float(residuals.square().mean(0).clamp(min=1e-12).log().sum())
-            yield Fit(length, noise, Prediction(towards @ weights, deviation), residual)
+    ways = torch.cdist(asked, endings.points)[0].square()
+    for kernel in kernels or endings.kernels:
+        towards = torch.cat([1 / (1 + ways / kernel.length), torch.ones(1).double()])
+        weights = kernel.inverse @ targets  # of the endings, and the mean
+        variances = 1 / kernel.inverse.diagonal()[:-1, None]  # of each ending, the others known
+        residuals = variances * weights[:-1]
+        variance = 1 + kernel.noise - towards @ kernel.inverse @ towards
+        deviation = (variance * (residuals.square() / variances).mean(0)).clamp(min=0).sqrt()
+        residual = float(residuals.square().mean(0).clamp(min=1e-12).log().sum())
+        yield Fit(kernel, Prediction(towards @ weights, deviation), residual)
 
 
 def in_own_units(rows: Float[Tensor, "M F"]) -> Float[Tensor, "M F"]:

@@ -8,7 +8,7 @@ Where a plan begins in joints in which no demonstration begins, other things cha
 training sequences from there stands in for the demonstrations (`from_rollouts`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
@@ -20,7 +20,7 @@ from torch import Tensor
 from preimage.data.sequences import Sequences
 from preimage.ideas.gripper_events import find_events
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
-from preimage.ideas.kriging import Prediction, View, in_own_units, krige
+from preimage.ideas.kriging import Endings, Prediction, View, in_own_units, krige
 from preimage.method.seam import Objective, Problem
 from preimage.network.coding import JointCoding, to_pixels
 from preimage.network.divergence import VISUAL_WEIGHT, proprioceptive_error, sensed_log
@@ -69,6 +69,7 @@ class DemonstrationMemory:
     event_joint: int = 0
     """The joint that opens and closes, where there are such events."""
     _last: list["Recollection"] = field(default_factory=list, repr=False)
+    _endings: dict[tuple[Hashable, ...], Endings] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, sequences: Sequences, coding: JointCoding) -> Self:
@@ -119,6 +120,10 @@ class DemonstrationMemory:
             self._last[:] = [Recollection(self, problem)]
         return self._last[0]
 
+    def endings(self, features: Float[Tensor, "N F"], *known_as: Hashable) -> Endings:
+        """The features by which sequences are compared; what kriging works out of them is kept, for it is the same at every goal."""
+        return self._endings.setdefault(known_as, Endings(features))
+
     def knows_start(self, start: Sensed, coding: JointCoding) -> bool:
         """Whether a start is as near to that of a demonstration as most of them are to each other."""
         nearest = code_distance(coding.encode(self.first_joints), start[1]).min()
@@ -136,6 +141,7 @@ class DemonstrationMemory:
             first_joints=first_joints,
             final_joints=coding.decode(imagined.log_codes[:, -1].exp()),
             _last=[],
+            _endings={},
         )
 
 
@@ -183,7 +189,7 @@ class Recollection:
         come = arrived(problem.start[0], problem.goal[0], memory.background)
         parts = zip(standing.chunk(2), memory.first_objects.chunk(2, dim=1), strict=True)
         views = [*parts, (standing, memory.first_objects), (come, memory.arrivals)]
-        flat = [(wanted.flatten(), known.flatten(1)) for wanted, known in views]
+        flat = [(wanted.flatten(), memory.endings(known.flatten(1), "events", k)) for k, (wanted, known) in enumerate(views)]
         coding = problem.model.coding
         return [estimate_of(krige(flat, joints), joints, coding) for joints in memory.event_joints.unbind(1)]
 
@@ -225,7 +231,7 @@ def views_of(memory: DemonstrationMemory, problem: Problem) -> list[View]:
         spread = memory.first_joints.std(0, unbiased=False).maximum(FINEST * (coding.upper - coding.lower))
         begun = torch.cat([coding.decode(problem.start[1])[None], memory.first_joints]) / spread
         views.append(torch.cat([in_own_units(pictures), FIRST_JOINTS_WEIGHT * in_own_units(begun)], 1))
-    return [(rows[0], rows[1:]) for rows in views]
+    return [(rows[0], memory.endings(rows[1:], problem.config.modalities, coding, k)) for k, rows in enumerate(views)]
 
 
 def begin_differently(memory: DemonstrationMemory, coding: JointCoding) -> bool:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from preimage.ideas.calibration import Calibration
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
-from preimage.ideas.kriging import bordered, fits
+from preimage.ideas.kriging import Endings, Kernel, fits
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.network.coding import to_pixels
 from preimage.network.pdvmrnn import PDVMRNN
@@ -141,10 +141,8 @@ class Demonstrated:
     final_joints: Float[Tensor, "N J"]
     joint_range: Float[Tensor, " J"]
     arrivals: Float[Tensor, "N F"]
-    inverse: Float[Tensor, "M M"]
-    """Of the bordered kernel of the arrivals (`ideas.kriging`)."""
-    length: float
-    noise: float
+    kernel: Kernel
+    """Of the arrivals."""
     blend_error: Float[Tensor, ""]
     """How far the picture of an ending usually is from the blend of the others."""
     joint_errors: Float[Tensor, " N"]
@@ -154,11 +152,8 @@ class Demonstrated:
     def of(cls, memory: DemonstrationMemory, model: PDVMRNN) -> "Demonstrated":
         joint_range = plain(model.coding.upper - model.coding.lower)
         arrivals, joints = plain(memory.arrivals).flatten(1), plain(memory.final_joints) / joint_range
-        best = min(fits(arrivals[0], arrivals, joints), key=lambda fit: fit.residual)
-        kernel = bordered(1 / (1 + torch.cdist(arrivals, arrivals).square() / best.length))
-        own = torch.cat([torch.ones(len(arrivals)), torch.zeros(1)]).double().diag()
-        inverse = torch.linalg.inv(kernel + best.noise * own)
-        left_out = [(inverse @ padded(values))[:-1] / inverse.diagonal()[:-1, None] for values in (arrivals, joints)]
+        kernel = min(fits(arrivals[0], Endings(arrivals), joints), key=lambda fit: fit.residual).kernel
+        left_out = [(kernel.inverse @ padded(values))[:-1] / kernel.inverse.diagonal()[:-1, None] for values in (arrivals, joints)]
         return cls(
             background=plain(memory.background),
             first_background=plain(memory.first_background),
@@ -168,9 +163,7 @@ class Demonstrated:
             final_joints=joints,
             joint_range=joint_range,
             arrivals=arrivals,
-            inverse=inverse,
-            length=best.length,
-            noise=best.noise,
+            kernel=kernel,
             blend_error=left_out[0].norm(dim=1).median(),
             joint_errors=left_out[1].norm(dim=1),
         )
@@ -179,13 +172,13 @@ class Demonstrated:
         """What speaks against a plan by what was demonstrated."""
         came = arrived(start, goal, self.background).flatten()
         apart_from = (self.arrivals - came).square().sum(1)
-        towards = torch.cat([1 / (1 + apart_from / self.length), torch.ones(1).double()])
-        weights = towards @ self.inverse
+        towards = torch.cat([1 / (1 + apart_from / self.kernel.length), torch.ones(1).double()])
+        weights = towards @ self.kernel.inverse
         alike = apart_from.argsort()[:NEIGHBOURS]
         begun, final = self.shares(plan.start.joints), self.shares(plan.joints[plan.arrival_step])
         found = {
             "goal_blend": log((weights @ padded(self.arrivals) - came).norm() / self.blend_error),
-            "uncertainty": log(1 + self.noise - weights @ towards, 1e-8),
+            "uncertainty": log(1 + self.kernel.noise - weights @ towards, 1e-8),
             "ambiguity": log(self.joint_errors[alike].square().mean().sqrt(), FINEST_JOINT),
             "goal_picture": log(nearest(blurred(goal, BLUR), self.last_frames)),
             "final_joints": log(nearest(final, self.final_joints), FINEST_JOINT),
