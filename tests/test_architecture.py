@@ -27,13 +27,18 @@ WALLS = {  # wing or room -> what it never imports, wherever it stands
 MADE_OF = {  # an idea -> the ideas that it is made of
     "end_correction": {"gripper_events", "memory"},
     "expected_joints": {"memory"},
+    "gauss_newton": {"residuals"},
+    "gripper_events": {"residuals"},
+    "hold_goal": {"residuals"},
     "last_look": {"memory"},
     "memory": {"gripper_events", "image_features", "kriging"},
     "mixup": {"image_features"},
     "trust": {"calibration", "image_features", "kriging", "memory"},
     "moved_things": {"memory", "test_time_augmentation"},
     "replanning": {"gripper_events", "replan_config", "timed_search", "underway"},
-    "timed_search": {"gauss_newton"},
+    "timed_search": {"gauss_newton", "residuals"},
+    "underway": {"residuals"},
+    "watched": {"residuals"},
 }
 ROOMS = sorted(path for path in ROOT.rglob("*.py") if path not in (ROOT / "__init__.py", ROOT / "__main__.py"))
 

@@ -10,6 +10,7 @@ from bars import FULL, bar, bars, objective_of, problem_to
 from preimage.ideas.end_correction import TerminalTarget
 from preimage.ideas.expected_joints import WIDER, ExpectedJoints
 from preimage.ideas.memory import DemonstrationMemory, Estimate
+from preimage.ideas.residuals import residuals_of
 from preimage.method.train import TrainConfig, train
 from preimage.network.config import ModelConfig
 from preimage.network.pdvmrnn import PDVMRNN, Generated
@@ -102,7 +103,7 @@ def test_expected_joints_are_charged_by_their_distance_in_wide_deviations(traine
     assert (charged.goal_error(there) - free.goal_error(there))[0, 1].item() == pytest.approx(2.5, rel=0.02)
     error, arrival = charged.errors(there)
     assert arrival.item() == 1
-    assert charged.residuals(there, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
+    assert residuals_of(charged, there, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
 
 
 def test_joints_of_which_nothing_is_known_are_not_charged(trained: PDVMRNN) -> None:

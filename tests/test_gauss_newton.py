@@ -19,6 +19,7 @@ from preimage.ideas.gauss_newton import (
     steps_from,
 )
 from preimage.ideas.memory import DemonstrationMemory
+from preimage.ideas.residuals import residuals_of
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import Planner
 from preimage.records import Percept, Stopped
@@ -64,7 +65,7 @@ def test_a_measured_jacobian_agrees_with_finite_differences(trained: PDVMRNN) ->
         measured = measured_jacobian(here, None, problem, objective, 0.01)
         for number, way in enumerate(torch.eye(2)):
             generated = problem.imagine(problem.space.intention(here.points + 0.01 * way))
-            by_hand = (objective.residuals(generated, here.arrival) - here.residuals) / 0.01
+            by_hand = (residuals_of(objective, generated, here.arrival) - here.residuals) / 0.01
             assert (measured[:, number] - by_hand).norm() < 0.05 * by_hand.norm()
         again = measured_jacobian(here, 0.5 * measured, problem, objective, 0.01)  # all directions are among the leading ones
         assert (again - measured).norm() < 0.05 * measured.norm()

@@ -104,7 +104,11 @@ def ways(coding: JointCoding, *demonstrations: Demonstration) -> Generated:
 
 def errors(*rows: list[float]) -> SimpleNamespace:
     """A term with the errors that are given."""
-    return SimpleNamespace(errors=lambda generated: torch.tensor(rows), num_steps=lambda arrival: int(arrival.max()) + 1)
+    to_the_last = {
+        "residuals": lambda generated, arrival: torch.zeros(len(arrival), 1),
+        "num_steps": lambda arrival: int(arrival.max()) + 1,
+    }
+    return SimpleNamespace(errors=lambda generated: torch.tensor(rows), **to_the_last)
 
 
 def test_a_way_does_not_arrive_before_the_last_event(model: PDVMRNN) -> None:

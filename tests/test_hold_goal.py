@@ -7,6 +7,7 @@ import torch
 
 from bars import bar, nearly, objective_of, problem_to
 from preimage.ideas.hold_goal import Held, rest_at_goal, resting
+from preimage.ideas.residuals import num_steps, residuals_of
 from preimage.method.plan import draft_of
 from preimage.method.seam import Problem
 from preimage.network.pdvmrnn import PDVMRNN, Generated
@@ -25,7 +26,7 @@ def test_residuals_are_the_error_near_the_goal(trained: PDVMRNN, modalities: str
     objective, near = objective_of(problem, held=held), way(problem, "start", "goal", "goal")
     error, arrival = objective.errors(near)
     assert arrival.item() == 1
-    assert objective.residuals(near, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
+    assert residuals_of(objective, near, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
 
 
 def test_what_follows_counts_only_where_the_goal_is_held(trained: PDVMRNN) -> None:
@@ -34,11 +35,11 @@ def test_what_follows_counts_only_where_the_goal_is_held(trained: PDVMRNN) -> No
     plain, held = objective_of(problem), objective_of(problem, held=True)
     error, arrival = plain.errors(passing)
     assert arrival.item() == 1
-    assert plain.residuals(passing, arrival).equal(plain.residuals(until, arrival))
-    assert plain.residuals(passing, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
+    assert residuals_of(plain, passing, arrival).equal(residuals_of(plain, until, arrival))
+    assert residuals_of(plain, passing, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
     at_each = plain.goal_error(passing)[0]
     torch.testing.assert_close(held.goal_error(passing)[0], torch.stack([at_each.mean(), at_each[1:].mean(), at_each[2]]))
-    assert (plain.num_steps(arrival), held.num_steps(arrival)) == (2, None)
+    assert (num_steps(plain, arrival), num_steps(held, arrival)) == (2, None)
 
 
 def test_staying_in_the_goal_is_better_than_reaching_it_again_later(trained: PDVMRNN) -> None:

@@ -8,6 +8,7 @@ import torch
 
 from bars import EXACT, PAPER, REGRESSION, bar, nearly, problem_to
 from preimage.ideas.nearest_training import NearestSequences
+from preimage.ideas.residuals import residuals_of
 from preimage.method.plan import recognise
 from preimage.method.prediction_error import ToSequence
 from preimage.network.inputs import as_inputs
@@ -25,7 +26,7 @@ def test_residuals_of_a_sequence_are_its_error(trained: PDVMRNN) -> None:
     sensed = sensed_of(trained, bar(0.5))
     objective, near = ToSequence(sensed), Generated(sensed[0] + 0.01, nearly(sensed[1]))
     error, arrival = objective.errors(near)
-    assert objective.residuals(near, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
+    assert residuals_of(objective, near, arrival).square().sum().item() == pytest.approx(error.item(), rel=0.05)
 
 
 def test_what_there_is_to_explain_is_the_error_of_staying_at_the_first_percept(trained: PDVMRNN) -> None:

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from preimage.ideas.residuals import num_steps, residuals_of
 from preimage.method.seam import Objective, Problem, Regression
 from preimage.network.pdvmrnn import Generated
 from preimage.records import Stopped
@@ -94,7 +95,7 @@ def evaluate(points: Float[Tensor, "B K"], problem: Problem, objective: Objectiv
     """What is imagined from points, and how far it is off."""
     generated = problem.imagine(problem.space.intention(points))
     error, arrival = objective.errors(generated)
-    return Iterate(points, error, arrival, objective.residuals(generated, arrival))
+    return Iterate(points, error, arrival, residuals_of(objective, generated, arrival))
 
 
 def jacobian_from(here: Iterate, points: Float[Tensor, "N K"], rollouts: Generated, objective: Objective) -> Float[Tensor, "B K R"]:
@@ -109,7 +110,7 @@ def jacobian_from(here: Iterate, points: Float[Tensor, "N K"], rollouts: Generat
         near = distances.argsort()[:NEIGHBOURS]
         ways, nearness = ways[near], 1 / (1 + distances[near] / distances[near].median().clamp(min=1e-9))
         generated = Generated(rollouts.pixels[near], rollouts.log_codes[near])
-        changes = objective.residuals(generated, here.arrival[row].expand(len(near))) - here.residuals[row]
+        changes = residuals_of(objective, generated, here.arrival[row].expand(len(near))) - here.residuals[row]
         weighed = ways.T * nearness
         curvature = weighed @ ways
         damping = 1e-3 * curvature.diagonal().mean() + 1e-9
@@ -133,8 +134,8 @@ def measured_jacobian(
     else:
         directions = torch.linalg.eigh(known @ known.mT).eigenvectors.mT[:, -LEADING:]  # (B, D, K)
     probes = here.points[:, None] + step * directions
-    changed = problem.imagine(problem.space.intention(probes.flatten(0, 1)), objective.num_steps(here.arrival))
-    residuals = objective.residuals(changed, here.arrival.repeat_interleave(probes.shape[1]))
+    changed = problem.imagine(problem.space.intention(probes.flatten(0, 1)), num_steps(objective, here.arrival))
+    residuals = residuals_of(objective, changed, here.arrival.repeat_interleave(probes.shape[1]))
     measured = (residuals.view(*probes.shape[:2], -1) - here.residuals[:, None]) / step
     return known + directions.mT @ (measured - directions @ known)
 

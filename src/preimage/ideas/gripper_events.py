@@ -19,7 +19,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from preimage.method.seam import ErrorTerm, Problem, steps_needed, summed_errors
+from preimage.ideas.residuals import num_steps_of_all, residuals_of
+from preimage.method.seam import ErrorTerm, Problem, summed_errors
 from preimage.network.coding import JointCoding
 from preimage.network.pdvmrnn import Generated
 
@@ -83,10 +84,10 @@ class AfterEvents:
         return error.masked_fill(before, torch.inf)
 
     def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
-        return torch.cat([term.residuals(generated, arrival) for term in self.terms], dim=1)
+        return torch.cat([residuals_of(term, generated, arrival) for term in self.terms], dim=1)
 
     def num_steps(self, arrival: Int[Tensor, " B"]) -> int | None:
-        return steps_needed(self.terms, arrival)
+        return num_steps_of_all(self.terms, arrival)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from preimage.ideas.residuals import residuals_of
 from preimage.method.seam import Draft, ErrorTerm, Objective, Problem, summed_errors
 from preimage.network.pdvmrnn import Generated
 
@@ -38,7 +39,7 @@ class Held:
         shares = (later / later.sum(1, keepdim=True)).sqrt().to(generated.pixels.dtype)  # (B, T)
         steps = Generated(generated.pixels.flatten(0, 1)[:, None], generated.log_codes.flatten(0, 1)[:, None])
         first = arrival.new_zeros(shares.numel())
-        each = [term.residuals(steps, first).to(shares.dtype).unflatten(0, shares.shape) for term in self.terms]
+        each = [residuals_of(term, steps, first).to(shares.dtype).unflatten(0, shares.shape) for term in self.terms]
         return torch.cat([(residuals * shares[..., None]).flatten(1) for residuals in each], dim=1)
 
     def num_steps(self, arrival: Int[Tensor, " B"]) -> None:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from preimage.ideas.gauss_newton import DAMPINGS, WORTHWHILE, GaussNewton, Iterate, steps_from
+from preimage.ideas.residuals import residuals_of
 from preimage.method.error_regression import LEAST_GAIN, descend
 from preimage.method.seam import Objective, Problem
 from preimage.network.pdvmrnn import Generated
@@ -111,9 +112,9 @@ class ByGaussNewton:
         """The best of the steps that are tried side by side, and its error."""
         probes = Generated(*(torch.cat([getattr(each, part) for each in self._probes]) for part in ("pixels", "log_codes")))
         error, arrival = objective.errors(here.generated)
-        now = Iterate(here.points, error, arrival, objective.residuals(here.generated, arrival))
-        changed = objective.residuals(probes, arrival.expand(len(probes.pixels)))
-        jacobian = (changed - objective.residuals(base.generated, arrival)) / PROBE
+        now = Iterate(here.points, error, arrival, residuals_of(objective, here.generated, arrival))
+        changed = residuals_of(objective, probes, arrival.expand(len(probes.pixels)))
+        jacobian = (changed - residuals_of(objective, base.generated, arrival)) / PROBE
         points = steps_from(now, jacobian[None], problem.config.intention_cost)[0]
         tried = clock.imagine(problem, points)
         errors = objective.errors(tried)[0].nan_to_num(nan=torch.inf)

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from preimage.ideas.residuals import residuals_of
 from preimage.method.prediction_error import ToGoal
 from preimage.network.divergence import VISUAL_WEIGHT, proprioceptive_error, proprioceptive_residuals, visual_error, visual_residuals
 from preimage.network.pdvmrnn import Generated
@@ -72,7 +73,7 @@ class Underway:
         return error + self.window.errors(generated), arrival
 
     def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
-        return torch.cat([self.to_goal.residuals(generated, arrival), self.window.residuals(generated)], dim=1)
+        return torch.cat([residuals_of(self.to_goal, generated, arrival), self.window.residuals(generated)], dim=1)
 
     def num_steps(self, arrival: Int[Tensor, " B"]) -> None:
         """All of them."""

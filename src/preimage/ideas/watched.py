@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from preimage.ideas.residuals import num_steps, residuals_of
 from preimage.method.seam import Objective, Problem, Regression, Search
 from preimage.network.intention import IntentionSpace, IntentionState
 from preimage.network.pdvmrnn import Generated
@@ -51,10 +52,10 @@ class WatchedObjective:
         return error, arrival
 
     def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
-        return self._objective.residuals(generated, arrival)
+        return residuals_of(self._objective, generated, arrival)
 
     def num_steps(self, arrival: Int[Tensor, " B"]) -> int | None:
-        return self._objective.num_steps(arrival)
+        return num_steps(self._objective, arrival)
 
     @property
     def to_explain(self) -> float:

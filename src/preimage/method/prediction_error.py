@@ -15,15 +15,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from preimage.method.config import Modalities
-from preimage.method.seam import ErrorTerm, at_step, steps_needed, summed_errors
-from preimage.network.divergence import (
-    VISUAL_WEIGHT,
-    proprioceptive_error,
-    proprioceptive_residuals,
-    sensed_log,
-    visual_error,
-    visual_residuals,
-)
+from preimage.method.seam import ErrorTerm, summed_errors
+from preimage.network.divergence import VISUAL_WEIGHT, proprioceptive_error, sensed_log, visual_error
 from preimage.network.pdvmrnn import Generated, InputSequence, Sensed
 
 
@@ -70,15 +63,6 @@ class GoalError:
             return VISUAL_WEIGHT * visual_error(generated.pixels, self.goal[0])
         return proprioceptive_error(generated.log_codes, self.goal[1])
 
-    def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
-        there = at_step(generated, arrival)
-        if self.modality == "vision":
-            return visual_residuals(there.pixels, self.goal[0]).flatten(1)
-        return proprioceptive_residuals(there.log_codes, self.goal[1]).flatten(1)
-
-    def num_steps(self, arrival: Int[Tensor, " B"]) -> int:
-        return int(arrival.max()) + 1
-
 
 def goal_terms(goal: Sensed, modalities: Modalities) -> list[ErrorTerm]:
     """The goal's part of equation 2; the term of a modality that is not given is left out (section II-D)."""
@@ -117,17 +101,6 @@ class ToGoal:
         arrival = self.earliest + arrival_step(at_every_step[:, self.earliest :], delay_penalty=self.delay_penalty)
         return self.start_error(generated) + at_every_step.gather(1, arrival[:, None])[:, 0], arrival
 
-    def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
-        """The same error at given arrival steps, as residuals."""
-        parts = [term.residuals(generated, arrival) for term in self.terms]
-        parts.append(visual_residuals(generated.pixels[:, 0], self.start[0]).flatten(1))
-        parts.append(proprioceptive_residuals(generated.log_codes[:, 0], self.start[1]).flatten(1))
-        return torch.cat(parts, dim=1)
-
-    def num_steps(self, arrival: Int[Tensor, " B"]) -> int | None:
-        """Up to the latest arrival, unless a term looks further."""
-        return steps_needed(self.terms, arrival)
-
     @property
     def to_explain(self) -> float:
         """The goal's part of the error of staying at the start, as sensed."""
@@ -147,17 +120,6 @@ class ToSequence:
         pixels, codes = (part.expand(len(generated.pixels), *part.shape[1:]) for part in self.sensed)
         error = sequence_error(generated, pixels, codes, pixels.new_ones(pixels.shape[:2])).total
         return error, torch.zeros(len(error), dtype=torch.long, device=error.device)
-
-    def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
-        """The same error as residuals."""
-        pixels, codes = self.sensed
-        visual = visual_residuals(generated.pixels, pixels)
-        felt = proprioceptive_residuals(generated.log_codes, codes)
-        return torch.cat([part.flatten(1) for part in (visual, felt)], dim=1) / pixels.shape[1] ** 0.5
-
-    def num_steps(self, arrival: Int[Tensor, " B"]) -> None:
-        """All of them."""
-        return None
 
     @property
     def to_explain(self) -> float:

@@ -3,7 +3,7 @@
     Augmentation     batch, sequences, generator -> batch       before an update of the training
     InitialGuess     problem, objective, generator -> coordinates       where a search begins
     Search           problem, objective, coordinates -> Regression      how an intention is moved
-    ErrorTerm        generated -> error a step, residuals       what is added to the error of the goal
+    ErrorTerm        generated -> error a step                  what is added to the error of the goal
     FirstDraft       intention, problem, objective -> Draft     what is imagined from the intention that was found
     PlanCorrection   draft, problem -> draft                    what is made of a plan that was found
 
@@ -113,14 +113,6 @@ class ErrorTerm(Protocol):
         """The error if the goal is reached at each of the imagined steps."""
         ...
 
-    def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]:
-        """Numbers whose squares sum to about the error at given arrival steps."""
-        ...
-
-    def num_steps(self, arrival: Int[Tensor, " B"]) -> int | None:
-        """How many steps have to be imagined to know the residuals; None: all up to the horizon."""
-        ...
-
 
 def at_step(generated: Generated, steps: Int[Tensor, " B"]) -> Generated:
     """One step of each sequence, as sequences of one step."""
@@ -133,22 +125,12 @@ def summed_errors(terms: Sequence[ErrorTerm], generated: Generated) -> Float[Ten
     return torch.stack([term.errors(generated) for term in terms]).sum(0)
 
 
-def steps_needed(terms: Sequence[ErrorTerm], arrival: Int[Tensor, " B"]) -> int | None:
-    """How many steps have to be imagined to know the residuals of all terms; None: all up to the horizon."""
-    needed = [term.num_steps(arrival) for term in terms]
-    return None if None in needed else max(each for each in needed if each is not None)
-
-
 class Objective(Protocol):
-    """What a search lowers: an error, and the same as a sum of squares at a given arrival step."""
+    """What a search lowers."""
 
     def errors(self, generated: Generated) -> tuple[Float[Tensor, " B"], Int[Tensor, " B"]]:
         """The prediction error of each sequence, and the arrival step it was taken at."""
         ...
-
-    def residuals(self, generated: Generated, arrival: Int[Tensor, " B"]) -> Float[Tensor, "B R"]: ...
-
-    def num_steps(self, arrival: Int[Tensor, " B"]) -> int | None: ...
 
     @property
     def to_explain(self) -> float:
