@@ -71,6 +71,16 @@ def test_a_table_goes_on_row_by_row(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert "| reach | 4 | closed | regression - hold at the goal |" in ablation_table([second])
 
 
+def test_a_bundled_model_has_the_rows_that_need_no_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    of_trained, of_bundled = ({one.name for one in variants_of(Cell("move-object", bundled=bundled))} for bundled in (False, True))
+    assert of_trained - of_bundled == {"paper", "full - keypoints"}
+    monkeypatch.setattr(ablation, "variants_of", lambda cell: [Variant("full")])
+    ablate([Cell("reach", goals=1, bundled=True)], work=tmp_path / "work", out=tmp_path, tell=lambda text: None)
+    (file,) = tmp_path.glob("ablation-*.json")
+    assert json.loads(file.read_text())["rows"]["full"]["goals"] == 1
+    assert not (tmp_path / "work").exists()  # nothing was recorded or trained
+
+
 def test_the_tasks_of_the_table_are_those_asked_for() -> None:
     assert {(cell.task, cell.num_demonstrations) for cell in cells_of("ablation", "small")} == {
         *(("reach", count) for count in (100, 25)),

@@ -205,6 +205,7 @@ def reproduce_(
     demonstrations: tuple[int, ...] = (100, 50, 25),
     tasks: tuple[str, ...] = (),
     goals: int | None = None,
+    bundled: bool = False,
     device: Device = "auto",
     work: Path = Path("runs/reproduce"),
     out: Path = Path("results"),
@@ -219,6 +220,7 @@ def reproduce_(
         demonstrations: which numbers of demonstrations.
         tasks: which tasks; by default all of the table.
         goals: test goals a cell; by default as many as the paper's.
+        bundled: let the bundled models plan, of the ablation what needs no training.
         device: what computes; auto is a GPU where there is one.
         work: folder for demonstrations and runs.
         out: folder for a JSON file a cell.
@@ -228,7 +230,12 @@ def reproduce_(
     from preimage.evaluation.experiments import reproduce
     from preimage.evaluation.recipes import cells_of
     from preimage.method.train import Progress as Told
+    from preimage.storage.bundled import BUNDLED
 
+    if bundled and table != "ablation":
+        raise ValueError(
+            f"--bundled is for the ablation alone, and this is {table}: `preimage evaluate` counts what a bundled model reaches"
+        )
     with following("training") as follow:
 
         def learn(told: Told) -> None:
@@ -240,6 +247,8 @@ def reproduce_(
         cells = [replace(cell, preset=as_, goals=goals) for cell in cells_of(table, size)]
         chosen = [cell for cell in cells if cell.seed < seeds and cell.num_demonstrations in demonstrations]
         chosen = [cell for cell in chosen if not tasks or cell.task in tasks]
+        if bundled:
+            chosen = [replace(cell, bundled=True) for cell in chosen if cell.task in BUNDLED and cell.num_demonstrations == 100]
         run = ablate if table == "ablation" else reproduce
         run(chosen, place=torch_device(device), work=work, out=out, tell=tell, progress=learn)
     print(f"{len(chosen)} cells are in {out}; `preimage report` makes the page of them")

@@ -24,7 +24,7 @@ from preimage.evaluation.experiments import TELL, demonstrations_of, planner_of
 from preimage.evaluation.loops import Loop
 from preimage.evaluation.recipes import TEST_GOALS, TEST_SEED, TRAINING_IDEAS, Cell, paper_of
 from preimage.method.train import Progress
-from preimage.presets import Planner, PlanOptions, Preset
+from preimage.presets import Planner, PlanOptions, Preset, load_planner
 from preimage.records import Demonstration
 from preimage.robot import Arm, record
 from preimage.storage.atomic_write import write_json
@@ -69,15 +69,17 @@ class Variant:
 
 
 def variants_of(cell: Cell) -> list[Variant]:
-    """The rows of a task's table."""
+    """The rows of a task's table; of a bundled model those that need no training of their own."""
     ideas = {name: fields for name, fields in SWITCHES.items() if name != "gripper events" or cell.task in GRIPPING}
-    variants = [Variant("paper"), Variant("regression")]
+    variants = [Variant("regression")] if cell.bundled else [Variant("paper"), Variant("regression")]
     both = {"- Gauss-Newton": options_of(PAPER, SEARCH), "- hold at the goal": {"hold_goal": False}}
     variants += [Variant("regression", idea, options) for idea, options in both.items()]
     variants += [Variant("regression", f"+ {idea}", options_of(FULL, fields)) for idea, fields in ideas.items()]
     variants += [Variant("full")]
     variants += [Variant("full", idea, options) for idea, options in both.items()]
     variants += [Variant("full", f"- {idea}", options_of(REGRESSION, fields)) for idea, fields in ideas.items()]
+    if cell.bundled:
+        return variants
     made_for = [idea for idea, tasks in TRAINING_IDEAS.items() if (cell.task, cell.num_demonstrations) in tasks]
     return [*variants, *(Variant("full", f"- {idea}", without=idea) for idea in made_for)]
 
@@ -98,7 +100,7 @@ def ablate(
     """A table a task in `out`, row by row; rows that were there before are not made again.
 
     Args:
-        cells: the trainings, of each task one a training seed.
+        cells: the trainings, or the bundled models, of each task one a seed.
 
     Raises:
         ValueError: the working folder holds a run of that name with other data or settings.
@@ -106,6 +108,8 @@ def ablate(
 
     @cache
     def trained(cell: Cell) -> Planner:
+        if cell.bundled:
+            return load_planner(cell.task, device=place)
         return planner_of(cell, demonstrations_of(cell, work, tell), place, work, tell, progress)
 
     @cache
@@ -115,7 +119,8 @@ def ablate(
     tables: dict[tuple[str, Loop], None] = dict.fromkeys((cell.data, loop) for cell in cells for loop in cell.loops)
     for data, loop in tables:
         alike = [cell for cell in cells if cell.data == data]
-        file = out / f"ablation-{data}-{alike[0].size}-{loop}.json"
+        bundled = "-bundled" if alike[0].bundled else ""
+        file = out / f"ablation-{data}-{alike[0].size}{bundled}-{loop}.json"
         table = read_json(file) if file.exists() else about_of(alike, loop, place)
         for variant in variants_of(alike[0]):
             if variant.name not in table["rows"]:
@@ -129,7 +134,8 @@ def about_of(cells: Sequence[Cell], loop: Loop, place: torch.device) -> dict[str
     """What a table is of."""
     first = cells[0]
     about = {"kind": "ablation", "task": first.task, "num_demonstrations": first.num_demonstrations, "size": first.size, "loop": loop}
-    seeds = {"training_seeds": [cell.seed for cell in cells], "seeds": [TEST_SEED + cell.seed for cell in cells]}
+    about |= {"bundled": first.bundled}
+    seeds = {"training_seeds": [] if first.bundled else [cell.seed for cell in cells], "seeds": [TEST_SEED + cell.seed for cell in cells]}
     return about | seeds | {"paper": paper_of(first.task, first.num_demonstrations, loop), "provenance": provenance(place), "rows": {}}
 
 
@@ -142,7 +148,7 @@ def rows_of(cell: Cell, variant: Variant, loop: Loop, trained: Planner, goals: S
         trial = carry_out(planner, found, arm, cell.filmed, demonstration, loop)
         moved = {"success": trial.success, "deviation_cm": round(100 * trial.deviation_m, 3)}
         searched = {"error": found.error, "seconds": round(found.seconds, 3), "iterations": len(found.errors)}
-        rows.append({"training_seed": cell.seed, "goal": goal} | moved | searched)
+        rows.append({"seed": cell.seed, "goal": goal} | moved | searched)
         left = (time.perf_counter() - began) / (goal + 1) * (len(goals) - goal - 1)
         reached = sum(row["success"] for row in rows)
         tell(f"{variant.learned(cell).run}, {variant.name}, {loop}: {reached}/{goal + 1} of {len(goals)}, {left:.0f} s left")

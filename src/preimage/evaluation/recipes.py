@@ -64,6 +64,8 @@ class Cell:
     """Test goals; by default as many as the paper's, and 20 for recognition and the modalities."""
     without: str = ""
     """An idea of training (`TRAINING_IDEAS`) that is left out."""
+    bundled: bool = False
+    """Whether the bundled model of the task plans, instead of one that is trained; its seed then draws the goals alone."""
 
     @property
     def name(self) -> str:

@@ -96,7 +96,8 @@ def ablation_table(found: Results) -> str:
     rows = []
     for one in found:
         for name, row in one["rows"].items() if one.get("kind") == "ablation" else ():
-            setting = [one["task"], str(one["num_demonstrations"]), one["loop"], name, counted(row)]
+            model = f"{one['num_demonstrations']}" + (", bundled model" if one.get("bundled") else "")
+            setting = [one["task"], model, one["loop"], name, counted(row)]
             changed = f"+{row['gained']} -{row['lost']} ({row['p']:.2f})" if "gained" in row else ""
             rows.append([*setting, changed, f"{row['deviation_cm']:.2f} cm", f"{row['seconds']:.2f} s", f"{row['iterations']:.1f}"])
     head = ["task", "demonstrations", "loop", "as", "reached", "gained, lost (p)", "mean", "a plan", "iterations"]
