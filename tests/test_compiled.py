@@ -140,6 +140,25 @@ def test_frozen_weights_get_no_gradient_and_the_intention_the_same() -> None:
     torch.testing.assert_close(told, expected, rtol=1e-10, atol=1e-10)
 
 
+CHANGES: dict[str, Callable[[PDVMRNN], object]] = {
+    "in place": lambda model: model.to_codes.weight.mul_(0.5),
+    "in its data": lambda model: setattr(model.to_codes.weight, "data", 0.5 * model.to_codes.weight),
+    "loaded": lambda model: model.load_state_dict({name: 0.5 * value for name, value in model.state_dict().items()}),
+}
+
+
+@pytest.mark.parametrize("how", CHANGES)
+def test_what_is_kept_of_frozen_weights_is_not_believed_once_they_change(how: str) -> None:
+    model = network(ModelConfig.tiny(), (16, 16, 1), 2, torch.float32).requires_grad_(False)
+    start = start_of(model, 2)
+    before = compiled(model, start)
+    with torch.no_grad():
+        CHANGES[how](model)
+    after = compiled(model, start)
+    assert (after.log_codes - before.log_codes).abs().max() > 1e-3
+    torch.testing.assert_close(after.log_codes, by_torch(model, start).log_codes, rtol=1e-4, atol=1e-4)
+
+
 def test_without_gradients_the_same_is_imagined_in_two_steps_memory() -> None:
     model = network(THREE_LEVELS, (32, 16, 1), 2, torch.float64)
     with torch.no_grad():

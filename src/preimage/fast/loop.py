@@ -10,6 +10,8 @@ once, by one product that torch makes. So the same sequences on as many threads 
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -32,6 +34,35 @@ MOST_AT_ONCE = 16
 
 PROGRAMS: WeakKeyDictionary[nn.Module, dict[int, Program]] = WeakKeyDictionary()
 """Programs already written, by network and number of sequences."""
+LAYOUTS: WeakKeyDictionary[nn.Module, tuple[tuple[Any, ...], "Layout"]] = WeakKeyDictionary()
+"""Of frozen networks, with what tells whether their weights are still the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """All weights of a network as its programs need them."""
+
+    operations: Any
+    weights: Tensor
+    """In the order of a program: convolutions, the outputs' biases, matrices."""
+    narrow: bool
+    """Whether convolutions are in bfloat16."""
+
+    @cached_property
+    def forward(self) -> Any:
+        """The convolutions' weights for the forward pass."""
+        return paired(self.operations, self.weights.numpy(), False) if self.narrow else self.weights.numpy()
+
+    @cached_property
+    def backward(self) -> Any:
+        """The convolutions' weights for the backward pass."""
+        kernels = flipped(self.operations, self.weights.numpy())
+        return paired(self.operations, kernels, True) if self.narrow else kernels
+
+    @cached_property
+    def total(self) -> Tensor:
+        """Their sum, which is finite only if all are."""
+        return self.weights.sum()
 
 
 def closed_loop(
@@ -50,9 +81,9 @@ def closed_loop(
     initial = torch.cat(
         [part.flatten(1) for part in (*(part for name in programs[0].hidden for part in states[name]), pixels, codes)], dim=1
     )
-    weights = weights_of(model, programs[0])
+    weights, layout = layout_of(model, programs[0], narrow)
     keep_steps = torch.is_grad_enabled() and (initial.requires_grad or weights.requires_grad)
-    predicted, log_codes = ClosedLoop.apply(weights, initial, programs, num_steps, keep_steps, narrow)  # pyright: ignore[reportGeneralTypeIssues]
+    predicted, log_codes = ClosedLoop.apply(weights, initial, programs, layout, num_steps, keep_steps)  # pyright: ignore[reportGeneralTypeIssues]
     return predicted.unflatten(2, pixels.shape[1:]), log_codes.unflatten(2, codes.shape[1:])
 
 
@@ -69,6 +100,20 @@ def parts_of(count: int, threads: int) -> list[int]:
 def program_of(model: nn.Module, count: int) -> Program:
     programs = PROGRAMS.setdefault(model, {})
     return programs.get(count) or programs.setdefault(count, Program(model, count))
+
+
+def layout_of(model: nn.Module, program: Program, narrow: bool) -> tuple[Tensor, Layout]:
+    """The weights of a network in the order of a program, through which gradients go back, and their layout, which frozen ones keep."""
+    parameters = list(model.parameters())
+    if any(each.requires_grad or each.is_inference() for each in parameters):
+        weights = weights_of(model, program)
+        return weights, Layout(program.operations, weights.detach(), narrow)
+    state = narrow, *((each.data_ptr(), each._version) for each in parameters)
+    known, layout = LAYOUTS.get(model, (None, None))
+    if layout is None or known != state:
+        layout = Layout(program.operations, weights_of(model, program), narrow)
+        LAYOUTS[model] = state, layout
+    return layout.weights, layout
 
 
 def weights_of(model: Any, program: Program) -> Tensor:
@@ -100,40 +145,35 @@ class ClosedLoop(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, weights: Tensor, initial: Tensor, programs: list[Program], num_steps: int, keep_steps: bool, narrow: bool
+        ctx: Any, weights: Tensor, initial: Tensor, programs: list[Program], layout: Layout, num_steps: int, keep_steps: bool
     ) -> tuple[Tensor, ...]:
         predicted = [weights.new_empty(len(initial), num_steps, indices.shape[1]) for indices in programs[0].read]
         buffers = [weights.new_empty(num_steps + 1 if keep_steps else 2, program.length) for program in programs]
         rows = [each.split([program.batch for program in programs]) for each in (initial, *predicted)]
-        kernels = paired(programs[0].operations, weights.detach().numpy(), False) if narrow else weights.detach().numpy()
+        numbers = layout.weights.numpy(), layout.forward
         parts = zip(programs, buffers, *rows, strict=True)
-        given = [(*program.lists, *in_numpy(weights), kernels, scratch_of(program, narrow), *in_numpy(*each)) for program, *each in parts]
+        given = [(*program.lists, *numbers, scratch_of(program, layout.narrow), *in_numpy(*each)) for program, *each in parts]
         ctx.threads = torch.get_num_threads()
         side_by_side(go_forward, given, ctx.threads)
-        if not (weights.sum() + initial.sum()).isfinite():  # fast arithmetic assumes that all are; a sum tells in a twentieth of the time
+        if not (layout.total + initial.sum()).isfinite():  # fast arithmetic assumes that all are; a sum tells in a twentieth of the time
             predicted = [each.fill_(torch.nan) for each in predicted]
-        ctx.programs, ctx.narrow = programs, narrow
-        ctx.save_for_backward(weights, *buffers)
+        ctx.programs, ctx.layout = programs, layout
+        ctx.save_for_backward(*buffers)
         return tuple(predicted)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grad_predicted: Tensor) -> tuple[Tensor | None, ...]:
-        weights, *buffers = ctx.saved_tensors
-        programs, learned = ctx.programs, ctx.needs_input_grad[0]
+        buffers, layout = list(ctx.saved_tensors), ctx.layout
+        programs, weights, learned = ctx.programs, layout.weights, ctx.needs_input_grad[0]
         counts, num_steps = [program.batch for program in programs], len(buffers[0]) - 1
         grad_initial = weights.new_empty(sum(counts), programs[0].initial.shape[1])
         grad_small = weights.new_zeros(len(programs), programs[0].num_weights)
         tapes = [weights.new_empty(num_steps if learned else 0, program.tape) for program in programs]
         grad_pixels, grad_codes, initial = (each.contiguous().split(counts) for each in (*grad_predicted, grad_initial))
         parts = zip(programs, buffers, grad_pixels, grad_codes, grad_small, initial, tapes, strict=True)
-        kernels = flipped(programs[0].operations, *in_numpy(weights))
-        kernels = paired(programs[0].operations, kernels, True) if ctx.narrow else kernels
-        scratches = [scratch_of(program, ctx.narrow) for program in programs]
-        given = [
-            (*program.lists, *in_numpy(weights), kernels, scratch, *in_numpy(*each), learned)
-            for scratch, (program, *each) in zip(scratches, parts, strict=True)
-        ]
+        numbers = weights.numpy(), layout.backward
+        given = [(*program.lists, *numbers, scratch_of(program, layout.narrow), *in_numpy(*each), learned) for program, *each in parts]
         side_by_side(go_backward, given, ctx.threads)
         grad_weights = gradient_of(weights, grad_small.sum(0), programs, buffers, tapes) if learned else None
         return grad_weights, grad_initial, None, None, None, None
