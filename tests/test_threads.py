@@ -1,6 +1,8 @@
 """Threads leave the neighbours' cores alone, and there is always one."""
 
 import os
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -50,3 +52,32 @@ def test_what_runs_beside_this_process_is_counted(monkeypatch, tmp_path) -> None
     monkeypatch.setattr(threads, "RUNNING", tmp_path / "none")
     monkeypatch.delattr(os, "getloadavg", raising=False)
     assert busy_cores() == 0.0
+
+
+CPU_SECONDS = """
+import preimage, time, torch
+
+def cpu_seconds(threads: int) -> float:
+    torch.set_num_threads(threads)
+    numbers, began = torch.ones(2**17), time.process_time()
+    for _ in range(300):
+        numbers.add_(1)  # on all threads
+        sum(range(20_000))  # on one
+    return time.process_time() - began
+
+cpu_seconds(2)
+print(cpu_seconds(2) / cpu_seconds(1))
+"""
+
+
+@pytest.mark.slow
+def test_a_thread_that_waits_takes_no_core() -> None:
+    environment = {name: value for name, value in os.environ.items() if name not in ("OMP_WAIT_POLICY", "OMP_NUM_THREADS")}
+    told = subprocess.run([sys.executable, "-c", CPU_SECONDS], capture_output=True, text=True, check=True, env=environment)
+    assert float(told.stdout) < 1.5  # awake it would be near 2
+
+
+def test_who_has_chosen_how_threads_wait_is_left_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
+    threads.sleep_while_waiting()
+    assert os.environ["OMP_WAIT_POLICY"] == "ACTIVE"

@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from preimage import fast
+from preimage.compute import threads
 
 if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it torch, matplotlib or mujoco
     from preimage.data.dataset import load
@@ -34,6 +35,7 @@ if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it to
     from preimage.storage.recordings import save
     from preimage.storage.runs import from_pretrained, load_model, push_to_hub, read_shown
 
+threads.sleep_while_waiting()
 fast.install()
 
 __all__ = [

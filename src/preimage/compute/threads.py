@@ -1,7 +1,8 @@
 """How many threads compute: as many as there are cores that nothing else uses, and no more than the work has use for.
 
 torch's threads wait for one another at every operation, and the small network has some hundred of these a step. Where a neighbour holds a
-core, all of them wait for the one thread that has to share it: one thread fewer is then many times as fast as all.
+core, all of them wait for the one thread that has to share it. They wait asleep (`sleep_while_waiting`): awake, as is usual, they hold the
+cores that the others wait for, and a plan takes five to ten times as long.
 """
 
 import os
@@ -15,6 +16,11 @@ LOOKS, PAUSE_S = 5, 0.01
 """How often it is counted what runs now, and the time between."""
 RUNNING = Path("/proc/loadavg")
 """Linux counts here what runs at this moment, beside the means of some minutes (proc_loadavg(5))."""
+
+
+def sleep_while_waiting() -> None:
+    """Let threads that wait for one another sleep, unless OMP_WAIT_POLICY says otherwise; nothing changes once torch is loaded."""
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
 def threads_for(*, cores: int, busy: float, at_most: int | None = None) -> int:
