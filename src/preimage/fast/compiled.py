@@ -172,12 +172,20 @@ def codes_forward(op, now, weights):
     for joint in range(op.outputs // units):
         for row in range(batch):
             first, last = joint * units * batch + row, (joint + 1) * units * batch
-            bias = weights[op.bias + joint * units : op.bias + (joint + 1) * units]
-            logits = now[op.source + first : op.source + last : batch] + bias
-            largest = logits.max()
-            log_codes = logits - (largest + np.log(np.exp(logits - largest).sum()))
-            now[op.target + first : op.target + last : batch] = log_codes
-            now[op.cell + first : op.cell + last : batch] = np.exp(log_codes)
+            logits, codes = now[op.target + first : op.target + last : batch], now[op.cell + first : op.cell + last : batch]
+            for unit in range(units):
+                logits[unit] = now[op.source + first + unit * batch] + weights[op.bias + joint * units + unit]
+            largest, total = logits[0], now.dtype.type(0)
+            for unit in range(1, units):
+                largest = max(largest, logits[unit])
+            for unit in range(units):
+                codes[unit] = np.exp(logits[unit] - largest)
+            for unit in range(units):
+                total += codes[unit]
+            largest += np.log(total)
+            for unit in range(units):
+                logits[unit] -= largest
+                codes[unit] = np.exp(logits[unit])
 
 
 @njit(**OPTIONS)
@@ -185,12 +193,14 @@ def codes_backward(op, now, grad_now, grad_weights):
     units, batch = op.count, op.size
     for joint in range(op.outputs // units):
         for row in range(batch):
-            first, last = joint * units * batch + row, (joint + 1) * units * batch
-            codes = now[op.cell + first : op.cell + last : batch]
-            gradient = grad_now[op.target + first : op.target + last : batch] + codes * grad_now[op.cell + first : op.cell + last : batch]
-            gradient = gradient - codes * gradient.sum()
-            grad_now[op.source + first : op.source + last : batch] = gradient
-            grad_weights[op.bias + joint * units : op.bias + (joint + 1) * units] += gradient
+            first, total = joint * units * batch + row, now.dtype.type(0)
+            for p in range(first, first + units * batch, batch):
+                grad_now[op.source + p] = grad_now[op.target + p] + now[op.cell + p] * grad_now[op.cell + p]
+                total += grad_now[op.source + p]
+            for unit in range(units):
+                p = first + unit * batch
+                grad_now[op.source + p] -= now[op.cell + p] * total
+                grad_weights[op.bias + joint * units + unit] += grad_now[op.source + p]
 
 
 @njit(**OPTIONS)
