@@ -48,4 +48,5 @@ $(READY): constraints.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(RUN)/python -m pip install --quiet --constraint constraints.txt torch
 	$(RUN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	$(RUN)/python -m preimage.fast
 	@touch $(READY)

@@ -179,6 +179,21 @@ def test_what_is_not_finite_comes_to_light(where: str) -> None:
     assert not told.log_codes.isfinite().any()
 
 
+def test_once_the_loops_are_compiled_neither_plans_nor_training_compile_more() -> None:
+    from preimage.fast.__main__ import compile_loops
+    from preimage.fast.compiled import go_backward, go_forward
+
+    compile_loops()
+    compiled_for = [*go_forward.signatures, *go_backward.signatures]
+    model = network(THREE_LEVELS, (32, 16, 1), 3, torch.float32)
+    for dtype in (torch.float32, torch.bfloat16):
+        if serves(model, start_of(model, 3), dtype):
+            answers(model, 3, lambda model, start, dtype=dtype: compiled(model, start, dtype))
+            with torch.no_grad():
+                compiled(model, start_of(model, 3), dtype)
+    assert [*go_forward.signatures, *go_backward.signatures] == compiled_for
+
+
 def test_where_no_folder_can_be_written_to_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     from numba.core import caching
 
