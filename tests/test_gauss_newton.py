@@ -20,14 +20,17 @@ from preimage.ideas.gauss_newton import (
 )
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.residuals import residuals_of
-from preimage.network.pdvmrnn import PDVMRNN
+from preimage.network.pdvmrnn import PDVMRNN, Generated
 from preimage.presets import Planner
 from preimage.records import Percept, Stopped
 
 
-def iterate(points: torch.Tensor, residuals: torch.Tensor, error: float = 0.0) -> Iterate:
+def iterate(points: torch.Tensor, residuals: torch.Tensor, error: torch.Tensor | None = None) -> Iterate:
+    """Points with what is imagined from each: a frame of one pixel, which has the point's first number."""
     count = len(points)
-    return Iterate(points, torch.full((count,), error), torch.zeros(count, dtype=torch.long), residuals)
+    error = torch.zeros(count) if error is None else error
+    generated = Generated(points[:, :1].view(count, 1, 1, 1, 1), torch.zeros(count, 1, 1, 1))
+    return Iterate(points, error, torch.zeros(count, dtype=torch.long), residuals, generated)
 
 
 def test_a_step_solves_what_is_linear_and_learns_what_it_did() -> None:
@@ -49,12 +52,12 @@ def test_a_more_damped_step_is_shorter() -> None:
 
 
 def test_of_a_point_and_its_steps_the_best_is_kept_and_what_is_no_number_never() -> None:
-    here = Iterate(torch.zeros(2, 1), torch.tensor([5.0, 1.0]), torch.zeros(2, dtype=torch.long), torch.zeros(2, 1))
+    here = iterate(torch.zeros(2, 1), torch.zeros(2, 1), torch.tensor([5.0, 1.0]))
     errors = torch.tensor([4.0, torch.nan, 3.0, 2.0, 7.0, torch.nan])
-    tried = Iterate(torch.arange(1.0, 7)[:, None], errors, torch.zeros(6, dtype=torch.long), torch.zeros(6, 1))
-    best = better_of(here, tried)
+    best = better_of(here, iterate(torch.arange(1.0, 7)[:, None], torch.zeros(6, 1), errors))
     assert best.points[:, 0].tolist() == [3.0, 0.0]
     assert best.error.tolist() == [3.0, 1.0]
+    assert best.generated.pixels.flatten().tolist() == [3.0, 0.0]
 
 
 def test_a_measured_jacobian_agrees_with_finite_differences(trained: PDVMRNN) -> None:
@@ -91,6 +94,8 @@ def test_a_search_never_rises_and_its_best_comes_back_with_its_own_error(trained
     assert found.errors[-1] < 0.5 * found.errors[0]
     again, _ = objective.errors(problem.imagine(found.intention))
     torch.testing.assert_close(again, found.error, rtol=1e-4, atol=1e-5)
+    assert found.generated is not None
+    assert objective.errors(found.generated)[0].tolist() == found.error.tolist()
 
 
 def test_candidates_that_fall_behind_are_dropped(trained: PDVMRNN) -> None:

@@ -58,12 +58,16 @@ def test_a_way_is_the_mean_of_what_is_imagined_from_all_looks(trained: PDVMRNN) 
     np.testing.assert_array_equal(mean.joints, mean.imagined_joints)
 
 
-def test_all_looks_are_imagined_at_once_and_the_start_as_it_is_not_a_second_time(trained: PDVMRNN, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_search_has_imagined_is_not_imagined_again(trained: PDVMRNN, monkeypatch: pytest.MonkeyPatch) -> None:
     counts: list[int] = []
     imagine = PDVMRNN.generate_closed_loop
     monkeypatch.setattr(PDVMRNN, "generate_closed_loop", lambda *given, **more: (counts.append(len(given[1])), imagine(*given, **more))[1])
-    Planner(trained, None, replace(REGRESSION, test_time_augmentation=0.05)).imagine_without_goal(bar(0.3).first)
-    assert counts == [9]
+    planner = Planner(trained, None, replace(REGRESSION, test_time_augmentation=0.05))
+    planner.imagine_without_goal(bar(0.3).first)
+    assert counts == [1, 8]
+    planner.plan(goal=bar(0.3).last)
+    assert counts[-1] == 8
+    assert counts.count(1) == 1
 
 
 def test_no_side_is_looked_from_unless_it_is_asked_for(trained: PDVMRNN) -> None:

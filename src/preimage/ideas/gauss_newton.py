@@ -28,9 +28,11 @@ class Iterate:
     error: Float[Tensor, " B"]
     arrival: Int[Tensor, " B"]
     residuals: Float[Tensor, "B R"]
+    generated: Generated
+    """What is imagined from them."""
 
     def __getitem__(self, rows: Tensor) -> "Iterate":
-        return Iterate(self.points[rows], self.error[rows], self.arrival[rows], self.residuals[rows])
+        return Iterate(self.points[rows], self.error[rows], self.arrival[rows], self.residuals[rows], self.generated[rows])
 
 
 DAMPINGS = (0.03, 1.0, 30.0)
@@ -88,14 +90,14 @@ class GaussNewton:
             if stale and fresh and lowest[-1] > tolerance:
                 stopped = Stopped.CONVERGED
                 break
-        return Regression(space.intention(here.points), here.error, torch.stack(lowest), stopped)
+        return Regression(space.intention(here.points), here.error, torch.stack(lowest), stopped, here.generated)
 
 
 def evaluate(points: Float[Tensor, "B K"], problem: Problem, objective: Objective) -> Iterate:
     """What is imagined from points, and how far it is off."""
     generated = problem.imagine(problem.space.intention(points))
     error, arrival = objective.errors(generated)
-    return Iterate(points, error, arrival, residuals_of(objective, generated, arrival))
+    return Iterate(points, error, arrival, residuals_of(objective, generated, arrival), generated)
 
 
 def jacobian_from(here: Iterate, points: Float[Tensor, "N K"], rollouts: Generated, objective: Objective) -> Float[Tensor, "B K R"]:
@@ -109,8 +111,7 @@ def jacobian_from(here: Iterate, points: Float[Tensor, "N K"], rollouts: Generat
         distances = ways.square().sum(1)
         near = distances.argsort()[:NEIGHBOURS]
         ways, nearness = ways[near], 1 / (1 + distances[near] / distances[near].median().clamp(min=1e-9))
-        generated = Generated(rollouts.pixels[near], rollouts.log_codes[near])
-        changes = residuals_of(objective, generated, here.arrival[row].expand(len(near))) - here.residuals[row]
+        changes = residuals_of(objective, rollouts[near], here.arrival[row].expand(len(near))) - here.residuals[row]
         weighed = ways.T * nearness
         curvature = weighed @ ways
         damping = 1e-3 * curvature.diagonal().mean() + 1e-9
@@ -160,6 +161,8 @@ def steps_from(here: Iterate, jacobian: Float[Tensor, "B K R"], cost: float) -> 
 def better_of(here: Iterate, tried: Iterate) -> Iterate:
     """For each point the best of itself and the steps tried from it."""
     count = len(here.points)
-    both = Iterate(*(torch.cat([getattr(here, name), getattr(tried, name)]) for name in ("points", "error", "arrival", "residuals")))
+    generated = Generated(*(torch.cat([getattr(each.generated, name) for each in (here, tried)]) for name in ("pixels", "log_codes")))
+    values = (torch.cat([getattr(each, name) for each in (here, tried)]) for name in ("points", "error", "arrival", "residuals"))
+    both = Iterate(*values, generated)
     rows = torch.cat([torch.arange(count)[:, None], count + torch.arange(len(tried.points)).view(count, -1)], 1).to(here.arrival.device)
     return both[rows.gather(1, both.error.nan_to_num(nan=torch.inf)[rows].argmin(1, keepdim=True))[:, 0]]

@@ -49,11 +49,11 @@ class TestTimeAugmentation:
         return shifted(picture.expand(len(sides), *picture.shape), self.by * picture.shape[1] * picture.new_tensor(sides))
 
     @torch.no_grad()
-    def __call__(self, intention: IntentionState, problem: Problem, objective: Objective) -> Draft:
-        model, pixels = problem.model, self.looks(problem.start[0])
-        start = pixels, problem.start[1].expand(len(pixels), *problem.start[1].shape)
-        repeated = intention[torch.zeros(len(pixels), dtype=torch.long)]
-        generated = model.generate_closed_loop(repeated, start, num_steps=problem.num_steps, dtype=problem.dtype)
-        unmoved = Generated(generated.pixels[:1], generated.log_codes[:1])
-        joints = model.coding.decode(generated.log_codes.exp()).double().mean(0)
-        return replace(draft_of(intention, problem, objective, generated=unmoved), joints=joints, imagined=joints)
+    def __call__(self, intention: IntentionState, problem: Problem, objective: Objective, *, generated: Generated | None = None) -> Draft:
+        draft = draft_of(intention, problem, objective, generated=generated)
+        model, moved = problem.model, self.looks(problem.start[0])[1:]
+        start, rows = (moved, problem.start[1].expand(len(moved), -1, -1)), torch.zeros(len(moved), dtype=torch.long)
+        others = model.generate_closed_loop(intention[rows], start, num_steps=problem.num_steps, dtype=problem.dtype)
+        log_codes = torch.cat([draft.generated.log_codes, others.log_codes])
+        joints = model.coding.decode(log_codes.exp()).double().mean(0)
+        return replace(draft, joints=joints, imagined=joints)

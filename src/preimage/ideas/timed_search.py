@@ -112,7 +112,7 @@ class ByGaussNewton:
         """The best of the steps that are tried side by side, and its error."""
         probes = Generated(*(torch.cat([getattr(each, part) for each in self._probes]) for part in ("pixels", "log_codes")))
         error, arrival = objective.errors(here.generated)
-        now = Iterate(here.points, error, arrival, residuals_of(objective, here.generated, arrival))
+        now = Iterate(here.points, error, arrival, residuals_of(objective, here.generated, arrival), here.generated)
         changed = residuals_of(objective, probes, arrival.expand(len(probes.pixels)))
         jacobian = (changed - residuals_of(objective, base.generated, arrival)) / PROBE
         points = steps_from(now, jacobian[None], problem.config.intention_cost)[0]

@@ -60,7 +60,7 @@ def plan(
     problem = problem_of(model, start, goal, config)
     objective = objective_of(problem, ideas)
     found = regress(problem, objective, ideas)
-    draft = (ideas.first_draft or draft_of)(found.best, problem, objective)
+    draft = (ideas.first_draft or draft_of)(found.best, problem, objective, generated=found.best_generated)
     for correct in ideas.corrections:
         draft = correct(draft, problem, objective)
     errors, seconds = found.errors.double().cpu().numpy(), time.perf_counter() - began
@@ -136,7 +136,7 @@ def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfi
     objective = ToSequence((pixels, codes))
     found = regress(problem, objective, ideas or Ideas())
     with torch.no_grad():
-        generated = problem.imagine(found.best)
+        generated = found.best_generated or problem.imagine(found.best)
         error, _ = objective.errors(generated)
     return Recognition(found.best, generated, float(error), found.errors.double().cpu().numpy(), found.stopped)
 

@@ -147,10 +147,17 @@ class Regression:
     errors: Float[Tensor, " iterations"]
     """The lowest error of all candidates, iteration by iteration."""
     stopped: Stopped
+    generated: Generated | None = None
+    """What is imagined from each, where the search has kept it."""
 
     @property
     def best(self) -> IntentionState:
         return self.intention[self.error.argmin()[None]]
+
+    @property
+    def best_generated(self) -> Generated | None:
+        """What is imagined from the best, where that is known."""
+        return self.generated and self.generated[self.error.argmin()[None]]
 
 
 class Search(Protocol):
@@ -179,9 +186,11 @@ class Draft:
 
 
 class FirstDraft(Protocol):
-    """The draft of an intention."""
+    """The draft of an intention; what is imagined from it is given where it is known."""
 
-    def __call__(self, intention: IntentionState, problem: Problem, objective: Objective) -> Draft: ...
+    def __call__(
+        self, intention: IntentionState, problem: Problem, objective: Objective, *, generated: Generated | None = None
+    ) -> Draft: ...
 
 
 class PlanCorrection(Protocol):

@@ -53,6 +53,9 @@ class Generated:
     pixels: Float[Tensor, "B T C H W"]
     log_codes: Float[Tensor, "B T J K"]
 
+    def __getitem__(self, rows: Tensor) -> "Generated":
+        return Generated(self.pixels[rows], self.log_codes[rows])
+
 
 class PDVMRNN(nn.Module):
     """Predictive-coding deep visuomotor recurrent neural network (section II-A, figure 1, Table I).
