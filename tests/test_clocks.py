@@ -1,0 +1,95 @@
+"""Clocks and counters among the columns, under any name and in any unit; `check` and `train` agree."""
+
+import numpy as np
+import pytest
+
+from planar_arm import EIGHT, INFO, NAMES, as_table, assert_read_right, checked, kinds, refused_alike, write_plain, write_v2
+from preimage.data.dataset import load, open_recordings, read_episodes
+from preimage.data.view import View
+from preimage.examination import Kind
+from recordings import edit_json
+
+CLOCKS = {
+    "timestamp": 1.0,
+    "time": 1.0,
+    "Time_s": 1.0,
+    "stamp": 1.0,
+    "t": 1.0,
+    "time_ms": 1e3,
+    "Time [ms]": 1e3,
+    "timestamp_us": 1e6,
+    "stamp_ns": 1e9,
+    "elapsed_ns": 1e9,
+}
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+@pytest.mark.parametrize("column", [0, 1, 2])
+@pytest.mark.parametrize("rate", ["10", None])
+def test_a_clock_is_no_joint_in_any_column_and_unit(tmp_path, name, column, rate):
+    names, now = [*NAMES[:column], name, *NAMES[column:]], 0 if "ns" in name else 1_700_000_000
+
+    def columns(step: int, joints: np.ndarray) -> list:
+        values = [f"{value:.6f}" for value in joints]
+        return [*values[:column], f"{(now + step / 10) * CLOCKS[name]:.3f}", *values[column:]]
+
+    folder = write_plain(tmp_path / "data", as_table(names, columns), rate=rate, episodes=EIGHT[:1])
+    (one,) = load(folder)
+    assert (one.joint_names, one.rate_hz) == (("shoulder", "elbow"), 10.0)
+    (episode,) = read_episodes(folder)
+    np.testing.assert_allclose(np.diff(episode.timestamps_s), 0.1, atol=1e-3)
+
+
+def test_a_clock_of_ros_in_two_columns_and_a_date_are_clocks(tmp_path):
+    ros = as_table(["header.stamp.secs", "header.stamp.nsecs", *NAMES], lambda step, joints: [step // 10, step % 10 * 10**8, *joints])
+    assert_read_right(write_plain(tmp_path / "ros", ros, rate=None))
+    date = as_table(["time", *NAMES], lambda step, joints: [f"2024-05-01 12:00:{step // 10:02d}.{step % 10}00", *joints])
+    assert_read_right(write_plain(tmp_path / "date", date, rate=None))
+
+
+def test_a_clock_without_a_unit_counts_in_that_which_agrees_with_the_rate(tmp_path):
+    table = as_table(["timestamp", *NAMES], lambda step, joints: [100 * step, *joints])
+    folder = write_plain(tmp_path / "data", table)
+    assert_read_right(folder)
+    assert Kind.CLOCK not in kinds(checked(folder))
+
+
+@pytest.mark.parametrize(("unit", "count"), [("milliseconds", 100), ("microseconds", 100_000), ("nanoseconds", 10**8)])
+@pytest.mark.parametrize("name", ["time_s", "timestamp", "time"])
+def test_a_rate_that_no_robot_has_is_refused_with_the_unit_to_check(tmp_path, unit, count, name):
+    table = as_table([name, *NAMES], lambda step, joints: [1_700_000_000 * 10**6 + count * step, *joints])
+    short = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}[unit]
+    refused_alike(
+        write_plain(tmp_path / "data", table, rate=None, episodes=EIGHT[:1]),
+        f"as {name} is in seconds: if it counts {unit}, call it time_{short}",
+    )
+
+
+@pytest.mark.parametrize("rate", ["0.01", "33333", "0", "-10", "nan", "fast"])
+def test_a_rate_outside_of_what_robots_have_is_refused(tmp_path, rate):
+    refused_alike(
+        write_plain(tmp_path / "data", rate=rate), "it should hold the number of pictures a second \\(rates are 0.2 to 1000 Hz\\)"
+    )
+    folder = write_v2(tmp_path / "lerobot", EIGHT[:1])
+    edit_json(folder / INFO, lambda info: info.update(fps=float(rate) if rate != "fast" else rate))
+    refused_alike(folder, "it should be the number of steps a second; rates are 0.2 to 1000 Hz")
+
+
+@pytest.mark.parametrize("name", ["frame", "row", "seq", "trigger"])
+@pytest.mark.parametrize("layout", ["plain", "v2"])
+def test_a_column_that_rises_evenly_is_asked_about(tmp_path, name, layout):
+    if layout == "plain":
+        folder = write_plain(tmp_path / "data", as_table([*NAMES, name], lambda step, joints: [*joints, 3 * step]))
+    else:
+        counted = [(frames, np.c_[joints, np.arange(len(joints)) / 7]) for frames, joints in EIGHT]
+        folder = write_v2(tmp_path / "data", counted, names=[*NAMES, name])
+    refused_alike(folder, f"{name} rises evenly in every episode, .*: leave it out by --view.joints shoulder elbow")
+    assert_read_right(folder, view=View(joints=("shoulder", "elbow")))
+
+
+def test_a_clock_within_the_state_is_left_out(tmp_path):
+    timed = [(frames, np.c_[np.arange(len(joints)) / 10, joints]) for frames, joints in EIGHT]
+    folder = write_v2(tmp_path / "data", timed, names=["timestamp", *NAMES])
+    assert_read_right(folder)
+    assert "left out as a clock: timestamp" in open_recordings(folder).summary[-1]
+    assert Kind.COUNTER in kinds(checked(folder))
