@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planar_arm import NAMES, checked, recorded, refused_alike, write_v3
+from planar_arm import EIGHT, NAMES, checked, recorded, refused_alike, write_v2, write_v3
 from preimage.data.angles import find_wraps, unwrapped
 from preimage.data.dataset import load, open_recordings
 from preimage.data.view import View
@@ -89,3 +89,42 @@ def test_an_angle_that_nothing_can_unwrap_is_refused(tmp_path):
     folder = write_v3(tmp_path / "data", [(frames, anywhere(joints)) for frames, joints in recorded(24)])
     refused_alike(folder, "shoulder starts and turns all the way round, .*: leave it out by --view.joints elbow")
     assert load(folder, view=View(joints=("elbow",)))[0].joint_names == ("elbow",)
+
+
+OTHERS = {
+    "ticks": (4096.0, 0.0),
+    "half a turn": (180.0, -90.0),
+    "turns": (1.0, 0.0),
+    "-1 to 1": (2.0, -1.0),
+    "-100 to 100": (200.0, -100.0),
+}
+
+
+@pytest.mark.parametrize("unit", OTHERS)
+@pytest.mark.parametrize("seam", [0.0, 0.1])
+def test_a_turn_in_another_unit_is_unwrapped_too(unit, seam):
+    turn, lowest = OTHERS[unit]
+    ways = [np.c_[turn * (way[:, 0] / (2 * np.pi) + seam), way[:, 1]] for _, way in recorded(24)]
+    readings = [np.c_[(way[:, 0] % turn) + lowest, way[:, 1]] for way in ways]
+    crossing = [number for number, each in enumerate(readings) if np.abs(np.diff(each[:, 0])).max() > turn / 2]
+    (wrap,) = find_wraps(readings, NAMES)
+    assert (wrap.joint, wrap.turn, list(wrap.episodes)) == ("shoulder", turn, crossing)
+    assert 0 < len(crossing) < 24
+    assert_same_but_for_a_turn([unwrapped(each, NAMES, [wrap]) for each in readings], ways)
+
+
+@pytest.mark.parametrize("low_and_high", [(0.0, 1.0), (-1.0, 1.0), (-100.0, 100.0), (-90.0, 90.0)])
+def test_a_gripper_that_snaps_while_it_trembles_does_not_wrap(low_and_high):
+    rng, low, high = np.random.default_rng(0), *low_and_high
+    snaps = [np.where(np.arange(40) > rng.integers(9, 31), high, low) + rng.normal(0, 0.003 * (high - low), 40) for _ in range(24)]
+    assert find_wraps([each[:, None] for each in snaps], ["gripper"]) == []
+
+
+def test_a_joint_that_wraps_in_one_episode_and_goes_evenly_in_all_is_no_counter(tmp_path):
+    turning = [
+        (frames, np.c_[joints, (np.linspace(0, 15, 20) + (350 if number == 3 else 2)) % 360])
+        for number, (frames, joints) in enumerate(EIGHT)
+    ]
+    folder = write_v2(tmp_path / "data", turning, names=[*NAMES, "wrist"])
+    assert checked(folder).trainable
+    assert np.abs(np.diff(open_recordings(folder).demonstrations[3].joints, axis=0)).max() < 1

@@ -1,11 +1,13 @@
 """The cause and not a remedy is told, and what a spreadsheet or a copy does to a data set is read or named."""
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from planar_arm import (
     EIGHT,
     NAMES,
+    PLAIN,
     TOP,
     as_table,
     assert_read_right,
@@ -18,7 +20,7 @@ from planar_arm import (
     write_v3,
 )
 from preimage.data.dataset import load
-from recordings import write_rows
+from recordings import write_rows, write_video
 
 
 @pytest.mark.parametrize("version", ["v2", "v3", "plain"])
@@ -104,3 +106,57 @@ def test_a_picture_outside_of_the_folder_is_not_read(tmp_path):
                 row[TOP] = {"bytes": None, "path": name}
             write_rows(path, rows)
         refused_alike(folder, "only files in the folder of the data set are read")
+
+
+ROWS = {
+    "pandas": as_table(["", *NAMES], lambda step, joints: [step, *joints]),
+    "a column too many": as_table([*NAMES, ""], lambda _, joints: [*joints, ""]),
+    "numpy.savetxt": lambda joints: "# shoulder elbow\n" + "".join(" ".join(f"{each:.9e}" for each in row) + "\n" for row in joints),
+    "numpy.savetxt with commas": lambda joints: "# shoulder,elbow\n" + "".join(",".join(map(str, row)) + "\n" for row in joints.tolist()),
+}
+
+
+@pytest.mark.parametrize("writer", ROWS)
+def test_tables_of_others_are_read(tmp_path, writer):
+    assert_read_right(write_plain(tmp_path / "data", ROWS[writer]))
+
+
+def test_true_and_false_are_one_and_nothing(tmp_path):
+    table = as_table([*NAMES, "grasped"], lambda step, joints: [*joints, step > 10])
+    (one, *_) = load(write_plain(tmp_path / "data", table))
+    assert one.joints[:, 2].tolist() == [float(step > 10) for step in range(20)]
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        (lambda joints: PLAIN(joints).partition("\n")[2], r"begins with numbers \(.*\): its first row should hold the names of the joints"),
+        (as_table(["image", *NAMES], lambda step, joints: [f"{step}.png", *joints]), r"row 1 holds 0.png under image: .* take a column"),
+        (as_table(["Zeit", *NAMES], lambda step, joints: [f"1.5.2024 9:{step}", *joints]), r"row 1 holds 1.5.2024 9:0 under Zeit"),
+    ],
+)
+def test_what_is_no_number_is_named_with_its_column(tmp_path, table, sentence):
+    refused_alike(write_plain(tmp_path / "data", table), sentence)
+
+
+def test_where_the_data_set_lies_instead_is_told(tmp_path):
+    folder = write_v2(tmp_path / "hub/user/name", EIGHT[:1])
+    for named in (tmp_path / "hub", folder / "meta"):
+        with pytest.raises(ValueError, match=f"name {folder}, which is one"):
+            load(named)
+
+
+def test_recordings_of_another_format_are_told_what_to_become(tmp_path):
+    (tmp_path / "episode_0.hdf5").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"convert its .hdf5 files to a LeRobot data set, or to a folder an episode"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize(("times", "words"), [(3, "as of a video at 3 times the rate, or of 3 cameras"), (0.5, "took one in 2")])
+def test_frames_that_are_a_multiple_of_the_rows_say_so(tmp_path, times, words):
+    folder = into_videos(write_v2(tmp_path / "data"))
+    for number, (frames, _) in enumerate(EIGHT):
+        shown = [frames[step] for step in np.arange(0, len(frames), 1 / times).astype(int)]
+        write_video(folder / f"videos/chunk-000/{TOP}/episode_{number:06d}.mp4", shown)
+    refused_alike(folder, words)
+    assert words in " ".join(finding.what for finding in checked(folder).findings)

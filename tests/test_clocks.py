@@ -1,13 +1,14 @@
 """Clocks and counters among the columns, under any name and in any unit; `check` and `train` agree."""
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from planar_arm import EIGHT, INFO, NAMES, as_table, assert_read_right, checked, kinds, refused_alike, write_plain, write_v2
 from preimage.data.dataset import load, open_recordings, read_episodes
 from preimage.data.view import View
 from preimage.examination import Kind
-from recordings import edit_json
+from recordings import edit_json, write_rows
 
 CLOCKS = {
     "timestamp": 1.0,
@@ -57,7 +58,7 @@ def test_a_clock_without_a_unit_counts_in_that_which_agrees_with_the_rate(tmp_pa
 @pytest.mark.parametrize(("unit", "count"), [("milliseconds", 100), ("microseconds", 100_000), ("nanoseconds", 10**8)])
 @pytest.mark.parametrize("name", ["time_s", "timestamp", "time"])
 def test_a_rate_that_no_robot_has_is_refused_with_the_unit_to_check(tmp_path, unit, count, name):
-    table = as_table([name, *NAMES], lambda step, joints: [1_700_000_000 * 10**6 + count * step, *joints])
+    table = as_table([name, *NAMES], lambda step, joints: [17 + count * step, *joints])
     short = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}[unit]
     refused_alike(
         write_plain(tmp_path / "data", table, rate=None, episodes=EIGHT[:1]),
@@ -93,3 +94,47 @@ def test_a_clock_within_the_state_is_left_out(tmp_path):
     assert_read_right(folder)
     assert "left out as a clock: timestamp" in open_recordings(folder).summary[-1]
     assert Kind.COUNTER in kinds(checked(folder))
+
+
+@pytest.mark.parametrize(("seconds", "count"), [(1, 0.1), (10**3, 100), (10**6, 10**5), (10**9, 10**8)])
+@pytest.mark.parametrize("name", ["%time", "timestamp", "date"])
+def test_a_clock_that_counts_since_1970_says_its_unit_itself(tmp_path, seconds, count, name):
+    table = as_table([name, *NAMES], lambda step, joints: [1_700_000_000 * seconds + count * step, *joints])
+    assert_read_right(write_plain(tmp_path / "data", table, rate=None))
+
+
+def test_stamps_of_lerobot_in_milliseconds_are_no_other_rate(tmp_path):
+    folder = write_v2(tmp_path / "data")
+    for path in folder.glob("data/*/*.parquet"):
+        write_rows(path, [row | {"timestamp": 1000 * row["timestamp"]} for row in pq.read_table(path).to_pylist()])
+    assert_read_right(folder)
+    assert Kind.CLOCK not in kinds(checked(folder))
+
+
+def test_episodes_of_another_rate_are_named_with_theirs(tmp_path):
+    folder = write_plain(tmp_path / "data", as_table(["time_s", *NAMES], lambda step, joints: [step / 10, *joints]), rate=None)
+    faster = as_table(["time_s", *NAMES], lambda step, joints: [step / 30, *joints])
+    for number in (5, 6):
+        (folder / f"take {number}/joints.csv").write_text(faster(EIGHT[number][1]))
+    (finding,) = [finding for finding in checked(folder).findings if finding.kind is Kind.CLOCK]
+    assert finding.what == "samples of episodes 5, 6 come at 30 Hz, of the others at 10 Hz"
+    assert "--without-episodes 5 6" in finding.help
+
+
+@pytest.mark.parametrize("name", ["remaining_s", "ticks left", "Unnamed: 0"])
+def test_what_counts_down_is_asked_about(tmp_path, name):
+    counted = [(frames, np.c_[joints, np.arange(len(joints))[::-1]]) for frames, joints in EIGHT]
+    folder = write_v2(tmp_path / "data", counted, names=["shoulder", "elbow (right)", name])
+    refused_alike(folder, f"{name} falls evenly in every episode, .*: leave it out by --view.joints shoulder 'elbow \\(right\\)'")
+    (finding,) = [finding for finding in checked(folder).findings if finding.kind is Kind.COUNTER]
+    assert finding.what.startswith(f"{name} falls evenly")
+
+
+def test_velocities_and_efforts_beside_positions_are_asked_about(tmp_path):
+    measured = [(frames, np.c_[joints, 10 * np.gradient(joints, axis=0), np.sin(5 * joints[:, 0])]) for frames, joints in EIGHT]
+    names = ["j1.pos", "j2.pos", "j1.vel", "j2.vel", "effort_1"]
+    folder = write_v2(tmp_path / "data", measured, names=names)
+    refused_alike(folder, "j1.vel, j2.vel, effort_1 are no positions by name, .*: leave them out by --view.joints j1.pos j2.pos")
+    assert open_recordings(folder, view=View(joints=tuple(names))).demonstrations[0].joint_names == tuple(names)
+    alone = write_v2(tmp_path / "alone", names=["x.vel", "y.vel"])  # a robot that is commanded velocities has nothing else
+    assert_read_right(alone, ("x.vel", "y.vel"))

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -11,7 +12,7 @@ from planar_arm import EIGHT, INFO, LINES, TOP, assert_read_right, checked, into
 from preimage import cli
 from preimage.data.dataset import open_recordings, read_episodes
 from preimage.examination import Kind
-from recordings import edit_json, write_video
+from recordings import edit_json, edit_rows, write_rows, write_video
 
 
 @pytest.mark.parametrize("told", [False, True])
@@ -116,3 +117,66 @@ def test_first_frames_of_the_episode_before_are_named(tmp_path):
     ]
     (finding,) = [finding for finding in checked(write_v3(tmp_path / "data", stale)).findings if finding.kind is Kind.STALE]
     assert finding.places == tuple((number, 0) for number in range(1, 24))
+
+
+@pytest.mark.parametrize("layout", ["v2", "v3", "unnamed"])
+def test_two_tasks_by_their_numbers_are_named(tmp_path, layout):
+    folder = write_v3(tmp_path / "data", EIGHT) if layout == "v3" else write_v2(tmp_path / "data")
+    if layout == "v3":
+        index = next(folder.glob("meta/episodes/*/*.parquet"))
+        pq.write_table(pq.read_table(index).drop_columns(["tasks"]), index)
+        pq.write_table(pa.table({"task_index": [0, 1], "__index_level_0__": ["pick", "place"]}), folder / "meta/tasks.parquet")
+    else:
+        (folder / LINES).write_text("".join(json.dumps({"episode_index": number, "length": 20}) + "\n" for number in range(8)))
+    if layout == "v2":
+        (folder / "meta/tasks.jsonl").write_text('{"task_index": 0, "task": "pick"}\n{"task_index": 1, "task": "place"}\n')
+    for path in folder.glob("data/*/*.parquet"):
+        write_rows(path, [row | {"task_index": row["episode_index"] % 2} for row in pq.read_table(path).to_pylist()])
+    (finding,) = [finding for finding in checked(folder).findings if finding.kind is Kind.TASKS]
+    pick, place = ("task 0", "task 1") if layout == "unnamed" else ("pick", "place")
+    assert f"{pick!r} (episodes 0, 2, 4, 6), {place!r} (episodes 1, 3, 5, 7)" in finding.what
+    assert open_recordings(folder).task is None
+    assert open_recordings(folder, only=(1, 3)).task == place
+
+
+def test_all_that_an_episode_shows_is_its_task(tmp_path):
+    folder = write_v2(tmp_path / "data")
+    shown = [["pick", "place"] if number < 6 else ["place"] for number in range(8)]
+    lines = [json.dumps({"episode_index": number, "length": 20, "tasks": tasks}) for number, tasks in enumerate(shown)]
+    (folder / LINES).write_text("\n".join(lines))
+    (finding,) = [finding for finding in checked(folder).findings if finding.kind is Kind.TASKS]
+    assert "'pick, place' (episodes 0 to 5), 'place' (episodes 6, 7)" in finding.what
+
+
+@pytest.mark.parametrize("kept", ["index", "timestamp"])
+def test_rows_without_a_frame_index_are_put_in_order_by_what_counts_them(tmp_path, kept):
+    folder, rng = write_v2(tmp_path / "data"), np.random.default_rng(0)
+    for path in folder.glob("data/*/*.parquet"):
+        rows = pq.read_table(path).to_pylist()
+        for row in rows:
+            step = row.pop("frame_index")
+            row |= {"index": 20 * row["episode_index"] + step} if kept == "index" else {"frame_index": 0}
+        write_rows(path, [rows[row] for row in rng.permutation(20)])
+    assert_read_right(folder)
+
+
+def test_a_step_without_joints_is_named(tmp_path):
+    folder = write_v2(tmp_path / "data")
+    path = folder / "data/chunk-000/episode_000004.parquet"
+    edit_rows(path, lambda rows: rows[7].update({"observation.state": None}))
+    (finding,) = [finding for finding in checked(folder).findings if finding.kind is Kind.NOT_FINITE]
+    assert finding.places == ((4, 7),)
+    refused_alike(folder, "episode 4: joints holds nan at step 7")
+
+
+@pytest.mark.parametrize(
+    ("late", "words"),
+    [(2, "the picture lags the joints by 2"), (3, "the picture lags the joints by 3"), (-2, "the joints lag the picture by 2")],
+)
+def test_pictures_and_joints_of_different_moments_are_told_in_steps(tmp_path, late, words):
+    episodes = []
+    for frames, joints in recorded(8, 40):
+        behind = np.maximum(np.arange(40) - abs(late), 0)
+        episodes.append((frames[behind], joints) if late > 0 else (frames, joints[behind]))
+    (finding,) = [finding for finding in checked(write_v3(tmp_path / "data", episodes)).findings if finding.kind is Kind.LAG]
+    assert words in finding.what

@@ -72,3 +72,17 @@ def test_the_words_of_v30_may_stand_in_the_patterns_of_v21(tmp_path):
     info = folder / INFO
     info.write_text(info.read_text().replace("{episode_chunk:03d}", "{chunk_index:03d}"))
     assert_read_right(folder)
+
+
+def test_patterns_written_on_windows_are_read(tmp_path):
+    folder = into_videos(write_v2(tmp_path / "data"))
+    edit_json(folder / INFO, lambda info: info.update({key: info[key].replace("/", "\\") for key in ("data_path", "video_path")}))
+    assert_read_right(folder)
+
+
+def test_a_column_that_is_there_twice_is_refused(tmp_path):
+    folder = write_v2(tmp_path / "data")
+    path = folder / "data/chunk-000/episode_000002.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table.append_column("episode_index", table["frame_index"]), path)
+    refused_alike(folder, "episode_000002.parquet has several columns episode_index: give each a name of its own")

@@ -185,12 +185,12 @@ DAMAGES = [
     ),
     (
         change_frame(4, None),
-        f"{{0}}/{DATA}, episode 1, step 1 has a frame that cannot be decoded as PNG, JPEG, WebP, BMP or TIFF: "
-        "copy the data set again or leave that episode out (--without-episodes 1)",
+        f"{{0}}/{DATA}, episode 1, step 1 has no picture: copy the data set again or leave that episode out (--without-episodes 1)",
     ),
     (
         change_frame(4, png(mode="RGBA")),
-        f"{{0}}/{DATA}, episode 1, step 1 has a frame of (6, 8, 4), the first is of (6, 8, 3) (H, W, C): give all one size",
+        f"{{0}}/{DATA}, episode 1, step 1 has a frame with a fourth channel, the first is in colour: "
+        "look at all alike, by --view.colour grey",
     ),
     (
         lambda folder: edit_json(folder / INFO, lambda info: info.update(data_path="{chunk}.parquet")),

@@ -142,3 +142,12 @@ def test_a_file_that_is_off_is_told(tmp_path, content, sentence):
 def test_a_file_that_is_missing_is_told(tmp_path):
     with pytest.raises(ValueError, match=r"limits.json is no JSON file that can be read"):
         read_limits(tmp_path / "limits.json", SEEN, rate_hz=10.0)
+
+
+@pytest.mark.parametrize("unit", [None, "rad"])
+def test_limits_in_degrees_of_joints_in_radians_are_refused(tmp_path, unit):
+    path = tmp_path / "limits.json"
+    path.write_text(json.dumps({name: {"lower": -170, "upper": 165} for name in SEEN.joint_names}))
+    with pytest.raises(ValueError, match=r"lets joint 0 go from -170 to 165, and it was demonstrated from .*: 170 degrees are 2.967 rad"):
+        read_limits(path, limits_seen(sensors_of(RECORDED), SHOWN, unit=unit), rate_hz=10.0)
+    assert read_limits(path, limits_seen(sensors_of(RECORDED), SHOWN, unit="mm"), rate_hz=10.0).upper.tolist() == [165, 165]

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from planar_arm import EIGHT, PLAIN, SIZE
-from preimage.data.dataset import load
+from planar_arm import EIGHT, PLAIN, SIZE, checked, refused_alike, write_plain
+from preimage.data.dataset import load, open_recordings
 from preimage.data.sources import read_image
 from preimage.data.view import View
+from preimage.examination import Kind
 from preimage.network.config import Sensors
 
 
@@ -122,3 +123,48 @@ def test_a_picture_that_would_fill_the_memory_is_refused_before_it_is_unpacked(t
     monkeypatch.setattr("PIL.ImageFile.ImageFile.load", lambda *_: pytest.fail("it was unpacked"))
     with pytest.raises(ValueError, match="it has 13000x13000 pixels, more than 64 million"):
         read_image(tmp_path / "goal.png", SENSORS)
+
+
+def test_takes_that_differ_in_channels_alone_are_seen_alike(tmp_path):
+    """An opaque fourth channel, a palette, grey with and without opacity: nothing is lost and nothing made up."""
+    folder = write_plain(tmp_path / "data")
+    for number, mode in enumerate(["RGB", "RGBA", "P", "RGB", "L", "LA"]):
+        for path in (folder / f"take {number}").glob("*.png"):
+            with Image.open(path) as image:
+                (image.quantize(64) if mode == "P" else image.convert(mode)).save(path)
+    assert checked(folder).trainable
+    seen = open_recordings(folder).demonstrations
+    assert {one.frames.shape[-1] for one in seen} == {3}
+    np.testing.assert_array_equal(seen[1].frames, EIGHT[1][0])
+    assert (seen[4].frames == seen[4].frames[..., :1]).all()
+
+
+def test_colour_among_grey_is_told_and_seen_in_grey_where_asked(tmp_path):
+    folder = write_plain(tmp_path / "data")
+    for path in (folder / "take 0").glob("*.png"):
+        with Image.open(path) as image:
+            image.convert("L").save(path)
+    refused_alike(folder, "take 1, step 0 has a frame in colour, the first is in grey: look at all alike, by --view.colour grey")
+    assert {one.frames.shape[-1] for one in load(folder, view=View(colour="grey"))} == {1}
+
+
+@pytest.mark.parametrize("opacity", [0, 128, 255])
+def test_a_goal_that_is_transparent_in_places_is_refused(tmp_path, opacity):
+    cut = np.dstack([EIGHT[0][0][-1], np.full(SIZE, 255, np.uint8)])
+    cut[:10, :, 3] = opacity
+    Image.fromarray(cut).save(tmp_path / "goal.png")
+    if opacity == 255:
+        np.testing.assert_array_equal(read_image(tmp_path / "goal.png", SENSORS), EIGHT[0][0][-1])
+    else:
+        with pytest.raises(ValueError, match="is transparent in places"):
+            read_image(tmp_path / "goal.png", SENSORS)
+
+
+def test_twelve_bits_in_files_of_sixteen_are_told(tmp_path):
+    folder = write_plain(tmp_path / "data")
+    for path in folder.rglob("*.png"):
+        with Image.open(path) as image:
+            grey = np.asarray(image.convert("L")).astype(np.uint16)
+        Image.fromarray(16 * grey).save(path)
+    (finding,) = [finding for finding in checked(folder).findings if finding.kind is Kind.BLANK]
+    assert "it wrote fewer bits than its files have: the brightest pixel is 1" in finding.help

@@ -74,7 +74,10 @@ DAMAGES = [
     (lambda folder: (folder / "take 9/joints.csv").unlink(), r"take 9/joints.csv is missing: it should hold the joints, one row a picture"),
     (table(""), "take 9/joints.csv is empty or no table"),
     (table("pan,frozen,lift\n1,2\n"), "take 9/joints.csv, row 1 has 2 columns, the head 3: let them agree"),
-    (table("pan,frozen,lift\n1,2,left\n"), "take 9/joints.csv, row 1 holds 1,2,left: it should hold numbers"),
+    (
+        table("pan,frozen,lift\n1,2,left\n"),
+        "take 9/joints.csv, row 1 holds left under lift: it should hold numbers",
+    ),
     (table("pan,pan,lift\n1,2,3\n"), "has the head pan,pan,lift: it should give each joint a name of its own"),
     (table("pan,tilt\n1,2\n"), "has the joints pan, tilt, the first episode pan, frozen, lift: give all the same"),
     (table("pan,frozen,lift\n1,2,3\n"), "episode 1 has 4 frames for 1 steps of joints"),

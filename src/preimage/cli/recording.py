@@ -61,7 +61,7 @@ def check(
         rate_hz: steps a second of the model that is going to be trained.
         view: how the recordings are looked at.
     """
-    from preimage.data.dataset import describe, episode_numbers, read_episodes
+    from preimage.data.dataset import describe, episode_numbers, read_episodes, written_here
     from preimage.examination import examine
     from preimage.report import examined_page
 
@@ -71,7 +71,7 @@ def check(
     recordings = read_episodes(data, view=view, only=episodes, without=without_episodes)
     total = len(episode_numbers(data)) if episodes is None else len(episodes)
     recordings = followed(recordings, "reading episodes", total=total - len(without_episodes))
-    examination = examine(recordings, rate_hz=rate_hz, joints_chosen=view.joints is not None)
+    examination = examine(recordings, rate_hz=rate_hz, joints_chosen=view.joints is not None or written_here(data))
     about = describe(data, state=view.state)
     camera = view.camera or next(iter(about.cameras))
     examined_page(examination, out, title=f"preimage check: {data.name}", camera=camera, joint_unit=about.joint_unit)

@@ -17,8 +17,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-TURNS = 360.0, 2 * np.pi
-"""A full turn in degrees and in radians."""
+TURNS = 360.0, 2 * np.pi, 4096.0
+"""A full turn in degrees, in radians, and in the ticks of the encoders in most hobby servos."""
+OTHER_TURNS = 180.0, np.pi, 1.0, 2.0, 200.0
+"""Where wraps are rarer, and grippers that snap are as common: half a turn, as of a line or a symmetric tool; a turn that counts as one; a
+turn normalised to -1 to 1, or to -100 to 100. Such a joint wraps if its leaps go against its way: what snaps just goes to the other end."""
 ALL_ROUND = 0.75, 1.02
 """Readings that wrap go through this share of a turn and hardly more."""
 BOTH_ENDS = 0.85
@@ -29,6 +32,10 @@ CROSSING = 0.75
 """Share of a turn by which a reading leaps where it wraps."""
 PACES, LEAST_RESIDUAL = 2.0, 0.1
 """What is left of the leap beyond a turn is a step of the joint: at most so many times its fastest other step, or this share of a turn."""
+LEAST_WAY = 0.002
+"""Share of a turn that a joint goes in a step before it is said to be on its way: what trembles goes less."""
+AROUND = 2
+"""Steps before and after a leap that show which way a joint goes."""
 LEAST_STEPS = 24
 """Steps of all episodes together from which on the way of a joint can be known."""
 SMOOTH = 0.08
@@ -101,12 +108,15 @@ def _turn_of(readings: Readings) -> float | None:
         return None
     span = float(np.ptp(values))
     steps = np.abs(np.concatenate([np.diff(each) for each in readings]))
-    for turn in TURNS:
-        if len(steps) < LEAST_STEPS or np.median(steps) > SMOOTH * turn:
+    for turn in (*TURNS, *OTHER_TURNS):
+        if len(steps) < LEAST_STEPS or np.median(steps) > SMOOTH * turn or span <= ALL_ROUND[0] * turn:
             continue
-        if ALL_ROUND[0] * turn < span <= ALL_ROUND[1] * turn and (_wraps_within(steps, turn) or _wraps_between(readings, steps, turn)):
-            return turn
-        if ALL_ROUND[1] * turn < span <= APART[1] * turn and _starts_a_turn_apart(readings, steps, turn):
+        if span <= ALL_ROUND[1] * turn:
+            by_size = turn in TURNS and (_wraps_within(steps, turn) or _wraps_between(readings, steps, turn))
+            found = by_size or (turn in OTHER_TURNS and _leaps_against_its_way(readings, turn))
+        else:
+            found = turn in TURNS and span <= APART[1] * turn and _starts_a_turn_apart(readings, steps, turn)
+        if found:
             return turn
     return None
 
@@ -115,6 +125,18 @@ def _wraps_within(steps: Float[np.ndarray, " steps"], turn: float) -> bool:
     leaps, others = steps[steps > CROSSING * turn], steps[steps <= turn / 2]
     most = max(PACES * others.max(initial=0), LEAST_RESIDUAL * turn)
     return len(leaps) > 0 and bool((np.abs(turn - leaps) <= most).any())
+
+
+def _leaps_against_its_way(readings: Readings, turn: float) -> bool:
+    """Every leap of nearly a turn stands among steps that go the other way, one of them about as far as what is left of the turn."""
+    against = []
+    for steps in map(np.diff, readings):
+        for place in np.flatnonzero(np.abs(steps) > CROSSING * turn):
+            around = np.append(steps[max(place - AROUND, 0) : place], steps[place + 1 : place + 1 + AROUND])
+            way, rest = -np.sign(steps[place]) * around, turn - abs(steps[place])
+            fastest = way.max(initial=0)
+            against.append((way >= 0).all() and fastest >= LEAST_WAY * turn and rest <= PACES * fastest)
+    return bool(against) and all(against)
 
 
 def _wraps_between(readings: Readings, steps: Float[np.ndarray, " steps"], turn: float) -> bool:

@@ -1,7 +1,6 @@
 """Which columns are clocks and not joints, in what unit they count, and how many steps a second they tell.
 
-A column is known as a clock by its name. What rises evenly in every episode under any other name is a clock or a counter as well, but a
-joint that turns at one pace does the same: there the user is asked.
+A column is known as a clock by its name. What rises evenly under another name is asked about (`data.questions`).
 
 >>> [name for name in ("timestamp", "Time_s", "header.stamp.secs", "shoulder", "index_finger") if is_clock(name)]
 ['timestamp', 'Time_s', 'header.stamp.secs']
@@ -11,11 +10,11 @@ joint that turns at one pace does the same: there the user is asked.
 
 import datetime
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 LEAST_RATE_HZ, MOST_RATE_HZ = 0.2, 1000.0
 """Recordings of robots have rates between these; what is outside counts in another unit."""
@@ -32,12 +31,10 @@ BARE = {*UNITS, "t", "epoch", "unix", "elapsed"}
 """Words of which a name may consist altogether to be that of a clock, if it rises."""
 COUNTER = {"step", "steps", "timestep", "timesteps", "index", "idx", "frame", "frames", "count"}
 """Words that make a counter of a clock: it tells the order and not the time."""
+SINCE_1970_S = 1e9, 5e9
+"""Seconds since 1970 in the years 2001 and 2128: a clock that stands between them in one unit does so in no other."""
 WITHIN = 2.0
 """A clock without a unit counts in the unit in which it agrees with a rate that is known, to this factor."""
-LEAST_STEPS = 10
-"""Steps of the median episode from which on an even rise says something: shorter ways are often straight."""
-EVEN = 0.5
-"""Share of a column's median step by which nine of ten of its steps may differ, and the median steps of two episodes: clocks jitter."""
 
 
 def words_of(name: str) -> list[str]:
@@ -87,7 +84,7 @@ def find_clock(columns: Mapping[str, Float[np.ndarray, " T"]], *, rate_hz: float
             continue
         unit = unit_of(name)
         rest = _nanoseconds_beside(columns, name) if unit == "s" else None
-        times_s = values * SECONDS[unit or _agreeing(values, rate_hz)] + (0 if rest is None else rest)
+        times_s = values * SECONDS[unit or unit_that_agrees(values, rate_hz)] + (0 if rest is None else rest)
         if len(times_s) < 2 or (np.diff(times_s) > 0).all():
             return Clock(name, times_s)
     return None
@@ -101,12 +98,24 @@ def _nanoseconds_beside(columns: Mapping[str, Float[np.ndarray, " T"]], name: st
     return None
 
 
-def _agreeing(values: Float[np.ndarray, " T"], rate_hz: float | None) -> str:
-    if rate_hz is None or len(values) < 2:
+def unit_that_agrees(values: Float[np.ndarray, " T"], rate_hz: float | None) -> str:
+    """The unit in which a clock agrees with the rate, or, where none is known, with the time since 1970; seconds where none does.
+
+    >>> since_1970 = 1.7e18 + 1e8 * np.arange(5)
+    >>> unit_that_agrees(since_1970, None), unit_that_agrees(100.0 * np.arange(5), 10.0), unit_that_agrees(np.arange(5.0), None)
+    ('ns', 'ms', 's')
+    """
+    if len(values) < 2:
         return "s"
     step = float(np.median(np.diff(values)))
-    agreeing = [unit for unit, seconds in SECONDS.items() if 1 / WITHIN < step * seconds * rate_hz < WITHIN]
-    return agreeing[0] if agreeing else "s"
+    for unit, seconds in SECONDS.items():
+        if rate_hz is not None:
+            agrees = 1 / WITHIN < step * seconds * rate_hz < WITHIN
+        else:
+            agrees = SINCE_1970_S[0] <= values[0] * seconds < SINCE_1970_S[1] and is_rate(1 / (step * seconds) if step > 0 else None)
+        if agrees:
+            return unit
+    return "s"
 
 
 def rate_of(clock: Clock, where: str) -> float:
@@ -141,32 +150,3 @@ def seconds_since_1970(text: str) -> float:
     """What a date and time in ISO 8601 means; ValueError where it is none."""
     moment = datetime.datetime.fromisoformat(text.strip())
     return (moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)).timestamp()
-
-
-def evenly_rising(recordings: Sequence[Float[np.ndarray, "_T J"]]) -> Bool[np.ndarray, " J"]:
-    """Which columns rise at every step of every episode by about the same, as clocks and counters do and joints hardly ever.
-
-    >>> count, joint = np.arange(20.0), np.sin(np.arange(20.0))
-    >>> evenly_rising([np.stack([count, joint], 1)] * 3).tolist()
-    [True, False]
-    """
-    if np.median([len(joints) for joints in recordings]) < LEAST_STEPS:
-        return np.zeros(recordings[0].shape[1], bool)
-    ticks = [np.diff(joints, axis=0) for joints in recordings if len(joints) > 1]
-    paces = np.array([np.median(each, axis=0) for each in ticks])  # (N, J)
-    usual = np.median(paces, axis=0)
-    rises = np.all([(each > 0).all(0) for each in ticks], axis=0)
-    uneven = np.array([np.quantile(np.abs(each - pace), 0.9, axis=0) for each, pace in zip(ticks, paces, strict=True)])  # (N, J)
-    return rises & (uneven <= EVEN * paces).all(0) & (np.abs(paces - usual) <= EVEN * usual).all(0)
-
-
-def asked_about(names: Sequence[str], recordings: Sequence[Float[np.ndarray, "_T J"]]) -> str | None:
-    """A sentence on the joints that rise evenly in every episode, where there are any and nobody has named the joints to learn."""
-    rising = evenly_rising(recordings)
-    clocks = [name for name, evenly in zip(names, rising, strict=True) if evenly and not is_clock(name)]
-    if not clocks:
-        return None
-    others = [name for name, evenly in zip(names, rising, strict=True) if not evenly and not is_clock(name)]
-    rise = "rises" if len(clocks) == 1 else "rise"
-    choice = f"leave it out by --view.joints {' '.join(others)}, or " if others else ""
-    return f"{', '.join(clocks)} {rise} evenly in every episode, as a clock or a counter does: {choice}name all joints there to keep it"

@@ -13,6 +13,7 @@ True
 """
 
 import hashlib
+import itertools
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,15 +24,20 @@ import numpy as np
 
 from preimage.data import lerobot_reader, plain_folder
 from preimage.data.angles import Wrap, find_wraps, unwrapped
-from preimage.data.clocks import asked_about, is_clock
+from preimage.data.clocks import is_clock
 from preimage.data.files import leave_out
 from preimage.data.lerobot_info import EXTRAS, INFO
+from preimage.data.questions import naming, questions_about
 from preimage.data.view import COLOURS, Eye, View, moving, telling_channels, unwraps
 from preimage.records import Body, Demonstration, Description, Episode, listed, number_of
 
 __all__ = ["Opened", "describe", "episode_numbers", "fingerprint", "load", "open_recordings", "read_episodes"]
 
 BY_DEFAULT = View()
+OTHER_FORMATS = {".npy", ".npz", ".h5", ".hdf5", ".zarr", ".bag", ".mcap", ".db3", ".tfrecord", ".pkl", ".zip", ".tar", ".mp4"}
+"""Of files in which others keep recordings."""
+MOST_LOOKED_AT = 1000
+"""Entries of a folder that are looked at for a data set: it may be anybody's home."""
 
 Recording = TypeVar("Recording", Demonstration, Episode)
 
@@ -101,11 +107,13 @@ def open_recordings(
     demonstrations = [_demonstration(episode, folder) for episode in episodes]
     numbers = tuple(episode.index for episode in episodes)
     names = demonstrations[0].joint_names
+    if view.joints is None:
+        _refuse_what_is_asked(demonstrations, folder)
     wraps = find_wraps([each.joints for each in demonstrations], names, episodes=numbers) if view.wraps is None else unwraps(view)
     demonstrations = [replace(each, joints=unwrapped(each.joints, names, wraps)) for each in demonstrations]
     joints = view.joints or _chosen_joints(demonstrations, folder)
     if lost := [wrap for wrap in wraps if wrap.impossible and wrap.joint in joints]:
-        raise ValueError(f"{folder}: {cannot_unwrap(lost[0], [name for name in joints if name != lost[0].joint])}")
+        raise ValueError(f"{folder}: {': '.join(cannot_unwrap(lost[0], [name for name in joints if name != lost[0].joint]))}")
     kept = [wrap for wrap in wraps if wrap.joint in joints]
     description = room.describe(folder, view.state)
     body = Body(names, _held(demonstrations, joints), description.joint_unit)
@@ -178,10 +186,31 @@ def fingerprint(demonstrations: Sequence[Demonstration]) -> str:
     return digest.hexdigest()[:12]
 
 
-def cannot_unwrap(wrap: Wrap, others: Sequence[str]) -> str:
-    """A sentence on a joint whose readings wrap and cannot be unwrapped, given the joints that can be learned without it."""
-    without = f"leave it out by --view.joints {' '.join(others)}, or " if others else ""
-    return f"{wrap.joint} {wrap.impossible}: {without}record it as an angle that counts on"
+def written_here(folder: Path) -> bool:
+    """Whether `save` wrote the data set: what it holds was learned from or meant to be, and all of its joints are joints."""
+    return (folder / EXTRAS).is_file()
+
+
+def several_each(num_frames: int, num_steps: int) -> str:
+    """What it may mean that one number is a multiple of the other; nothing where it is none.
+
+    >>> several_each(60, 20), several_each(21, 20)
+    (' (3 for each, as of a video at 3 times the rate, or of 3 cameras)', '')
+    """
+    few, many = sorted((num_frames, num_steps))
+    if not few or many % few or many == few:
+        return ""
+    times = many // few
+    which = (
+        f"of a video at {times} times the rate, or of {times} cameras" if num_frames == many else f"where the camera took one in {times}"
+    )
+    return f" ({times} for each, as {which})"
+
+
+def cannot_unwrap(wrap: Wrap, others: Sequence[str]) -> tuple[str, str]:
+    """What is to be said of a joint that cannot be unwrapped, and what would help, given the joints that can be learned without it."""
+    without = f"leave it out by {naming(others)}, or " if others else ""
+    return f"{wrap.joint} {wrap.impossible}", f"{without}record it as an angle that counts on"
 
 
 def reads_past(wrap: Wrap, num_episodes: int) -> str:
@@ -201,9 +230,19 @@ def _reader(folder: Path) -> ModuleType:
     if (folder / "config.json").is_file():
         raise ValueError(f"{folder} holds a trained model (config.json) and no recordings: name the folder of the data set")
     raise ValueError(
-        f"{folder} has no {INFO}, so it is no LeRobot data set, and no folder in it has pictures and a joints.csv: "
-        "name the folder that holds meta/ and data/, or the folders of the episodes"
+        f"{folder} has no {INFO}, so it is no LeRobot data set, and no folder in it has pictures and a joints.csv: {_what_to_name(folder)}"
     )
+
+
+def _what_to_name(folder: Path) -> str:
+    """Where a data set lies instead, above or not far below; or what is to be made of recordings in files of another kind."""
+    around = [folder.parent, *sorted(path for depth in ("*", "*/*") for path in itertools.islice(folder.glob(depth), MOST_LOOKED_AT))]
+    for other in around:
+        if other.is_dir() and ((other / INFO).is_file() or plain_folder.is_plain(other)):
+            return f"name {other}, which is one"
+    if others := sorted({path.suffix for path in itertools.islice(folder.iterdir(), MOST_LOOKED_AT)} & OTHER_FORMATS):
+        return f"convert its {' and '.join(others)} files to a LeRobot data set, or to a folder an episode with pictures and joints.csv"
+    return "name the folder that holds meta/ and data/, or the folders of the episodes"
 
 
 def _chosen(folder: Path, only: Collection[int] | None, without: Collection[int]) -> list[int]:
@@ -228,7 +267,9 @@ def _whole(episode: Episode, folder: Path) -> Episode:
     if steps != episode.declared_length or steps == 0:
         raise ValueError(f"{where} has {steps} steps of joints, its index says {episode.declared_length}: {leave_out(episode.index)}")
     if frames != steps:
-        raise ValueError(f"{where} has {frames} frames for {steps} steps of joints: {leave_out(episode.index)}")
+        raise ValueError(
+            f"{where} has {frames} frames for {steps} steps of joints{several_each(frames, steps)}: {leave_out(episode.index)}"
+        )
     return episode
 
 
@@ -239,20 +280,22 @@ def _demonstration(episode: Episode, folder: Path) -> Demonstration:
         raise ValueError(f"{folder}, episode {episode.index}: {error}; leave it out by --without-episodes {episode.index}") from None
 
 
-def _chosen_joints(demonstrations: Sequence[Demonstration], folder: Path) -> tuple[str, ...]:
-    """Those that move and are no clocks; of a data set that was written here all.
+def _refuse_what_is_asked(demonstrations: Sequence[Demonstration], folder: Path) -> None:
+    """Raises ValueError where only the user knows whether a column is to be learned; of a data set that was written here all are."""
+    if written_here(folder):
+        return
+    for question in questions_about(demonstrations[0].joint_names, [each.joints for each in demonstrations]):
+        raise ValueError(f"{folder}: {question}")
 
-    Raises:
-        ValueError: whether one is a clock only the user knows.
-    """
+
+def _chosen_joints(demonstrations: Sequence[Demonstration], folder: Path) -> tuple[str, ...]:
+    """Those that move and are no clocks; of a data set that was written here all."""
     names, joints = demonstrations[0].joint_names, [each.joints for each in demonstrations]
-    if (folder / EXTRAS).is_file():
+    if written_here(folder):
         return names
     free = [not is_clock(name) for name in names]
     if not any(free):
         raise ValueError(f"{folder} has no joints beside its clocks ({', '.join(names)}): choose what is to be learned by --view.joints")
-    if question := asked_about(names, joints):
-        raise ValueError(f"{folder}: {question}")
     candidates = [name for name, is_free in zip(names, free, strict=True) if is_free]
     return tuple(name for name, moves in zip(candidates, moving([each[:, free] for each in joints]), strict=True) if moves)
 

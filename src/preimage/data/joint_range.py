@@ -14,6 +14,9 @@ import numpy as np
 from preimage.network.config import Sensors
 from preimage.records import Percept
 
+FULL_TURN_RAD = 2 * math.pi
+"""No joint of an arm turns farther to either side without its cable breaking."""
+
 
 def validate_in_range(goal: Percept, sensors: Sensors, *, unit: str | None, source: str) -> None:
     """Raises ValueError where a goal asks for a joint outside of what was demonstrated, and so for what cannot be imagined.

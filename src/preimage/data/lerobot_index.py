@@ -18,6 +18,8 @@ from preimage.data.lerobot_info import IN_MANY, Info, path_of
 
 LINES = "meta/episodes.jsonl"
 COLUMNS = ["episode_index", "length", "data/chunk_index", "data/file_index"]
+TASK_NAMES = "task", "__index_level_0__"
+"""Columns of meta/tasks.parquet that hold the words: pandas calls an index without a name by the second."""
 MOST_ROWS, MOST_BYTES = 20_000_000, 4 * 2**30
 """Of one parquet file, unpacked: what is larger would not fit in memory, or is a bomb."""
 
@@ -67,6 +69,8 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
             table = file.read(columns=[*columns, *optional])
     except (OSError, pa.ArrowException) as error:
         raise ValueError(f"{path} cannot be read as parquet: the file is damaged or incomplete, {AGAIN}") from error
+    if twice := [column for column in (*columns, *optional) if table.column_names.count(column) > 1]:
+        raise ValueError(f"{path} has several columns {twice[0]}: give each a name of its own")
     if missing := [column for column in columns if column not in table.column_names]:
         raise ValueError(f"{path} has no column {missing[0]}: a LeRobot data set needs it")
     return table
@@ -129,5 +133,20 @@ def _chunk(number: int) -> dict[str, int]:
 
 
 def _task(row: Mapping[str, Any]) -> str | None:
+    """All that the index says an episode shows, in its order."""
     tasks = row.get("tasks")
-    return tasks[0] if isinstance(tasks, list) and tasks and isinstance(tasks[0], str) else None
+    return ", ".join(task for task in tasks if isinstance(task, str)) or None if isinstance(tasks, list) else None
+
+
+def tasks_by_number(folder: Path) -> dict[int, str]:
+    """What the numbers in the column task_index stand for, where the data set says.
+
+    Raises:
+        ValueError: the file that says it is damaged.
+    """
+    lines, table = folder / "meta/tasks.jsonl", folder / "meta/tasks.parquet"
+    rows = [row for _, row in read_json_lines(lines)] if lines.exists() else []
+    if table.exists():
+        rows = read_table(table, ["task_index"], TASK_NAMES).to_pylist()
+    named = [(row.get("task_index"), next((row[name] for name in TASK_NAMES if row.get(name)), None)) for row in rows]
+    return {number: task for number, task in named if is_count(number) and isinstance(task, str)}

@@ -205,7 +205,7 @@ def path_of(folder: Path, info: Info, key: str, **numbers: int | str) -> Path:
     if not isinstance(pattern, str) or not _is_pattern(pattern, numbers):
         words = ", ".join(f"{{{word}}}" for word in numbers)
         raise ValueError(f"{where}: it should be the pattern of the files' names, in which {words} may stand")
-    name = Path(pattern.format(**numbers))
+    name = Path(pattern.replace("\\", "/").format(**numbers))  # some were written on Windows
     if name.is_absolute() or ".." in name.parts or not str(name).isprintable():
         raise ValueError(f"{where}: the files of a data set lie in its own folder, and their names begin there")
     return folder / name

@@ -12,7 +12,7 @@ Only what says where things lie must be whole.
 """
 
 import itertools
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +20,16 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
+from preimage.data.clocks import SECONDS, unit_that_agrees
 from preimage.data.decoding import decode, video_frames
 from preimage.data.files import leave_out, read_json
-from preimage.data.lerobot_index import Place, places_of, read_table
+from preimage.data.lerobot_index import Place, places_of, read_table, tasks_by_number
 from preimage.data.lerobot_info import EXTRAS, INFO, cameras_of, choose_camera, choose_state, joint_names, read_info
 from preimage.data.view import Eye, Picture
 from preimage.records import Description, Episode, Scene, number_of, scene_of
+
+OPTIONAL = "timestamp", "frame_index", "index", "task_index"
+"""Columns that say when a row was taken and what it shows; some leave them out."""
 
 
 def describe(folder: Path, state: tuple[str, ...] | None = None) -> Description:
@@ -71,11 +75,12 @@ def read_episodes(folder: Path, eye: Eye, only: Collection[int] | None = None) -
     names = joint_names(features, state)
     places = places_of(folder, info, camera)
     scenes = _read_scenes(folder, places)
+    tasks = {} if all(place.task for place in places) else tasks_by_number(folder)
     columns = [*state, "episode_index"] + ([camera] if features[camera]["dtype"] == "image" else [])
     wanted = [place for place in places if only is None or place.episode in only]
     for path, group in itertools.groupby(wanted, lambda place: place.data):
         try:
-            table, unread = read_table(path, columns, ["timestamp", "frame_index"]), ()
+            table, unread = read_table(path, columns, OPTIONAL), ()
         except ValueError as error:
             table, unread = pa.table({name: pa.array([], pa.int64()) for name in columns}), (str(error),)
         episode_of_row = _scalars(table, "episode_index")
@@ -84,8 +89,9 @@ def read_episodes(folder: Path, eye: Eye, only: Collection[int] | None = None) -
             where = f"{path}, episode {place.episode}"
             frames, unseen = eye.watch(_pictures(folder, place, steps, camera, rate_hz), str(place.video or where))
             joints, unfit = _joint_angles([steps[column].to_pylist() for column in state], where, names)
-            times_s = None if unfit or "timestamp" not in steps.column_names else _scalars(steps, "timestamp")
-            about = {"rate_hz": rate_hz, "task": place.task, "scene": scenes.get(place.episode), "faults": (*unread, *unfit, *unseen)}
+            times_s = None if unfit or "timestamp" not in steps.column_names else _times(steps, rate_hz)
+            task = place.task or _task_of(steps, tasks)
+            about = {"rate_hz": rate_hz, "task": task, "scene": scenes.get(place.episode), "faults": (*unread, *unfit, *unseen)}
             yield Episode(place.episode, frames, joints, names, times_s, place.length, **about)
 
 
@@ -95,12 +101,28 @@ def _scalars(table: pa.Table, column: str) -> Float[np.ndarray, " T"]:
     return np.array([value if isinstance(value, int | float) else np.nan for value in values], np.float64)
 
 
+def _times(steps: pa.Table, rate_hz: float) -> Float[np.ndarray, " T"]:
+    """When each row was taken, in seconds; some write another unit, and the rate tells which."""
+    times = _scalars(steps, "timestamp")
+    return times * SECONDS[unit_that_agrees(times, rate_hz)]
+
+
+def _task_of(steps: pa.Table, tasks: Mapping[int, str]) -> str | None:
+    """What an episode shows, by the numbers of the tasks in its rows."""
+    if "task_index" not in steps.column_names:
+        return None
+    numbers = dict.fromkeys(int(number) for number in _scalars(steps, "task_index") if np.isfinite(number))
+    return ", ".join(tasks.get(number, f"task {number}") for number in numbers) or None
+
+
 def _in_order(steps: pa.Table) -> pa.Table:
-    """The steps of an episode by their frame_index, where there is one: some write them in another order."""
-    if "frame_index" not in steps.column_names:
-        return steps
-    order = _scalars(steps, "frame_index").argsort(kind="stable")
-    return steps if (order == np.arange(len(order))).all() else steps.take(pa.array(order))
+    """The steps of an episode by what counts them: some write them in another order."""
+    for column in ("frame_index", "index", "timestamp"):
+        places = _scalars(steps, column) if column in steps.column_names else np.zeros(0)
+        if len(np.unique(places[np.isfinite(places)])) == len(steps):
+            order = places.argsort(kind="stable")
+            return steps if (order == np.arange(len(order))).all() else steps.take(pa.array(order))
+    return steps
 
 
 def _pictures(folder: Path, place: Place, steps: pa.Table, camera: str, rate_hz: float) -> Iterator[Picture]:
@@ -115,9 +137,9 @@ def _pictures(folder: Path, place: Place, steps: pa.Table, camera: str, rate_hz:
             content = {"bytes": None, "path": content}
         if isinstance(content, dict):
             content = content.get("bytes") or _named_file(folder, place, camera, content.get("path"))
-        if isinstance(content, str):
-            yield f"{where} has no picture: {content}"
-        elif content is None or isinstance(content, bytes | Path):
+        if isinstance(content, str) or not content:
+            yield f"{where} has no picture: {content or remedy}"
+        elif isinstance(content, bytes | Path):
             yield decode(content, where, remedy=remedy)
         else:
             yield f"{where} holds a {type(content).__name__} in the column {camera}: it should hold the bytes of a PNG or JPEG file"
@@ -137,7 +159,8 @@ def _named_file(folder: Path, place: Place, camera: str, path: Any) -> Path | st
 
 
 def _joint_angles(columns: list[list[Any]], where: str, names: tuple[str, ...]) -> tuple[Float[np.ndarray, "T J"], tuple[str, ...]]:
-    angles = [[value for cell in step for value in _values(cell)] for step in zip(*columns, strict=True)]
+    steps = zip(*columns, strict=True)
+    angles = [[np.nan] * len(names) if None in step else [value for cell in step for value in _values(cell)] for step in steps]
     for step, values in enumerate(angles):
         if len(values) != len(names):
             fault = f"{where}, step {step} has {len(values)} values of the joints, {INFO} names {len(names)}: let them agree"

@@ -13,7 +13,7 @@ from jaxtyping import UInt8
 
 from preimage.data.dataset import episode_numbers, load
 from preimage.data.decoding import NotShown, picture
-from preimage.data.view import View, look, seen_by
+from preimage.data.view import View, look, seen_by, with_channels
 from preimage.network.config import Sensors
 from preimage.records import Percept, Scene, listed
 
@@ -69,6 +69,8 @@ def read_image(path: Path, sensors: Sensors, view: View | None = None) -> UInt8[
         whole = picture(path)
     except NotShown as error:
         raise ValueError(f"{path} is not an image that can be read: it {error}") from error
+    if sensors.channels != 4 and with_channels(whole, 3) is None:
+        raise ValueError(f"{path} is transparent in places, and what is to be seen there nobody can say: save it opaque")
     frame = look(whole, view or seen_by(sensors), str(path))
     if sensors.channels == 4 and frame.shape[-1] != 4:
         raise ValueError(f"{path} has no depth, which the model sees: give a PNG whose fourth channel is the depth")

@@ -1,8 +1,8 @@
 """The table of joints of an episode, `joints.csv`, as recorders and spreadsheets write it.
 
 Columns are separated by commas, semicolons or tabs; numbers have a point or a comma before their decimals; the text is UTF-8, with or
-without a byte-order mark, or UTF-16. Rows without any content are passed over. Clocks (`data.clocks`) are known by their names, in whatever
-column they stand.
+without a byte-order mark, or UTF-16. Rows without any content are passed over, and so are columns without a name that hold nothing or count
+the rows. Clocks (`data.clocks`) are known by their names, in whatever column they stand.
 """
 
 import csv
@@ -20,6 +20,8 @@ from preimage.data.files import read_text
 SEPARATORS = ";", "\t", ","
 """The first of them that the head has separates the columns."""
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+WORDS = {"": np.nan, "true": 1.0, "false": 0.0}
+"""Cells that are no numbers and mean one."""
 HOLDS = "it should hold the joints, one row a picture, under a head of their names"
 
 
@@ -45,8 +47,10 @@ def read_table(path: Path) -> Table:
     """
     if not path.exists():
         raise ValueError(f"{path} is missing: it should hold the joints, one row a picture, under their names")
-    head, *rows = _rows_of(path)
+    head, *rows = _without_row_numbers(*_rows_of(path))
     names = [name.strip() for name in head]
+    if all(_is_number(name) for name in names):
+        raise ValueError(f"{path} begins with numbers ({','.join(head)[:100]}): its first row should hold the names of the joints")
     if len(set(names)) != len(names) or "" in names:
         raise ValueError(f"{path} has the head {','.join(head)}: it should give each joint a name of its own")
     numbers = [_numbers(row, names, f"{path}, row {number}") for number, row in enumerate(rows, start=1)]
@@ -68,9 +72,13 @@ def _rows_of(path: Path) -> list[list[str]]:
     if text[:4].lower() == "sep=":  # a spreadsheet's own word on what separates the columns
         text = text.partition("\n")[2]
     head = next((line for line in text.splitlines() if line.strip()), "")
-    separator = next((each for each in SEPARATORS if each in head), ",")
+    separator = next((each for each in SEPARATORS if each in head), "#" if head.startswith("#") else ",")
+    text = text.lstrip().removeprefix("#")  # which numpy.savetxt writes before the head, and blanks between the columns
+    if separator == "#":
+        return [line.split() for line in text.splitlines() if line.strip()]
     try:
-        rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=separator) if any(cell.strip() for cell in row)]
+        table = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+        rows = [row for row in table if any(cell.strip() for cell in row)]
     except csv.Error as error:
         raise ValueError(f"{path} is no table ({error}): {HOLDS}") from error
     if not rows:
@@ -78,22 +86,40 @@ def _rows_of(path: Path) -> list[list[str]]:
     return rows
 
 
+def _without_row_numbers(head: list[str], *rows: list[str]) -> list[list[str]]:
+    """Columns without a name that hold nothing, or count the rows as pandas does, are left out."""
+    if not all(len(row) == len(head) for row in rows):
+        return [head, *rows]
+    columns = [[name.strip(), *(cell.strip() for cell in cells)] for name, *cells in zip(head, *rows, strict=True)]
+    kept = [cells for cells in columns if cells[0] or (any(cells) and cells[1:] != [str(row) for row in range(len(rows))])]
+    return [list(row) for row in zip(*kept, strict=True)] or [head, *rows]
+
+
 def _numbers(row: list[str], names: list[str], where: str) -> list[float]:
     if len(row) != len(names):
         commas = "; where commas stand before decimals, semicolons have to separate the columns" if len(row) == 2 * len(names) else ""
         raise ValueError(f"{where} has {len(row)} columns, the head {len(names)}: let them agree{commas}")
-    try:
-        return [_number(cell.strip(), name) for cell, name in zip(row, names, strict=True)]
-    except ValueError as error:
-        raise ValueError(f"{where} holds {','.join(row)[:100]}: it should hold numbers") from error
+    return [_number(cell.strip(), name, where) for cell, name in zip(row, names, strict=True)]
 
 
-def _number(cell: str, name: str) -> float:
-    if not cell:
-        return np.nan
+def _is_number(cell: str) -> bool:
     try:
-        return float(cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell)
+        float(cell)
     except ValueError:
+        return False
+    return True
+
+
+def _number(cell: str, name: str, where: str) -> float:
+    """What a cell says: a number, a date where the column is a clock, true or false as 1 or 0, and nothing as NaN."""
+    cell = cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
+    if cell.lower() in WORDS:
+        return WORDS[cell.lower()]
+    if _is_number(cell):
+        return float(cell)
+    try:
         if is_clock(name):
             return seconds_since_1970(cell)
-        raise
+    except ValueError:
+        pass
+    raise ValueError(f"{where} holds {cell[:60]} under {name}: it should hold numbers; take a column of anything else out")

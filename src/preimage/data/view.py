@@ -161,6 +161,23 @@ def coloured(frame: Frame, colour: Literal["keep", "grey", "colour"]) -> Viewed:
     return frame
 
 
+def with_channels(frame: Frame, channels: int) -> UInt8[np.ndarray, "H W c"] | None:
+    """The frame with so many channels, where nothing is lost and nothing made up by it; None where that cannot be.
+
+    >>> with_channels(np.full((1, 1, 1), 7, np.uint8), 3).tolist(), with_channels(np.uint8([[[7, 8, 9]]]), 1)
+    ([[[7, 7, 7]]], None)
+    """
+    if frame.shape[-1] == 4 and channels != 4 and (frame[..., 3] == 255).all():
+        frame = frame[..., :3]
+    if frame.shape[-1] == 3 and channels == 1 and (frame == frame[..., :1]).all():
+        return frame[..., :1]
+    if frame.shape[-1] == 1 and channels > 1:
+        frame = np.repeat(frame, 3, axis=-1)  # (H, W, 3)
+    if frame.shape[-1] == 3 and channels == 4:
+        return np.concatenate([frame, np.full_like(frame[..., :1], 255)], axis=-1)  # (H, W, 4)
+    return frame if frame.shape[-1] == channels else None
+
+
 def telling_channels(recordings: Sequence[UInt8[np.ndarray, "_F H W C"]]) -> int:
     """How many channels say something: not a fourth that is opaque everywhere, not three that are the same grey everywhere."""
     channels = recordings[0].shape[-1]
@@ -197,13 +214,21 @@ class Eye:
         for step, picture in enumerate(pictures):
             if isinstance(picture, str):
                 faults.append(picture)
-            elif picture.shape != self._kind and self._kind:
+                continue
+            self._resolve(picture, where)
+            assert self._kind
+            alike = picture if self.view.colour != "keep" else with_channels(picture, self._kind[-1])
+            if picture.shape[:2] != self._kind[:2]:
                 faults.append(
                     f"{where}, step {step} has a frame of {picture.shape}, the first is of {self._kind} (H, W, C): give all one size"
                 )
+            elif alike is None:
+                kinds = [{1: "in grey", 3: "in colour"}.get(each, "with a fourth channel") for each in (picture.shape[-1], self._kind[-1])]
+                faults.append(
+                    f"{where}, step {step} has a frame {kinds[0]}, the first is {kinds[1]}: look at all alike, by --view.colour grey"
+                )
             else:
-                self._resolve(picture, where)
-                frames.append(look(picture, self.view, where))
+                frames.append(look(alike, self.view, where))
         return np.stack(frames) if frames else np.zeros((0, 0, 0, 1), np.uint8), tuple(faults)
 
     def _resolve(self, picture: Frame, where: str) -> None:

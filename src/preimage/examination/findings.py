@@ -24,7 +24,7 @@ class Kind(enum.Enum):
     UNREADABLE = "unreadable parts"
     GAPS = "missing episodes"
     TASKS = "several tasks"
-    COUNTER = "clocks among the joints"
+    COUNTER = "columns that are no joints"
     WRAPS = "angles that wrap"
     UNLIKE = "episodes unlike each other"
     LENGTHS = "missing or extra frames"

@@ -5,12 +5,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from preimage.data.joint_range import FULL_TURN_RAD
 from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, leaving_out
 from preimage.examination.seen import Seen, divisors, spans
 from preimage.records import listed
 
-FULL_TURN_RAD = 2 * np.pi
-"""No joint of an arm turns farther to either side without its cable breaking."""
 SPIKE = 0.25
 """Share of a joint's span that it must leave its neighbours in time by: fast hands make a tenth, on a gripper a seventh."""
 SPIKE_SPEEDS = 2.0

@@ -14,6 +14,8 @@ STUCK_TRAVEL = 0.1
 """Share of a joint's span that it moves under frames that stay the same in every bit: more than a resting arm wobbles."""
 STUCK_FRAMES = 5
 """Frames in a row that are the same: fewer are a camera that is slower than the recording."""
+DARK = 64
+"""What 14 bits of brightness come to in a file of 16; 12 bits come to 16, and 10 to 4."""
 LIVELY = 0.02
 """Share of all frames in which a pixel must change to belong to what happens: less is a flicker."""
 SMALL_PX = 6.0
@@ -27,7 +29,11 @@ def blank(seen: Sequence[Seen]) -> Iterator[Finding]:
     episodes = tuple(one.index for one in dark)
     places = tuple((one.index, int(step)) for one in dark for step in np.flatnonzero(one.blank))
     if not any(one.sees for one in seen):
-        yield Finding(Kind.BLANK, Severity.FAULT, "no frame shows anything", "look whether the right camera was recorded", episodes, places)
+        help_ = "look whether the right camera was recorded"
+        brightest = max(int(one.first.max()) for one in seen if one.first is not None)
+        if 0 < brightest <= DARK:
+            help_ += f", and whether it wrote fewer bits than its files have: the brightest pixel is {brightest} of 255"
+        yield Finding(Kind.BLANK, Severity.FAULT, "no frame shows anything", help_, episodes, places)
     else:
         what = f"{in_episodes(episodes)} hold {number_of(len(places), 'frame')} of one colour"
         yield Finding(Kind.BLANK, Severity.WARNING, what, leaving_out(episodes), episodes, places)

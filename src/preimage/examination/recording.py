@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from preimage.data.dataset import several_each
 from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes, leaving_out
 from preimage.examination.seen import Seen
 from preimage.records import number_of
@@ -18,6 +19,8 @@ DROPPED = 1.5
 """Ticks between two samples from which one must be missing: halfway to two."""
 JITTER = 0.25
 """Ticks by which a sample may come early or late: the arm then has moved by a quarter of a step, about the noise of a good plan."""
+SHORTEST_S = 1e-9
+"""Between two samples: clocks tell no less."""
 RATE = 0.05
 """Share by which the measured rate may differ from the declared one: plans are executed that much too fast or too slow."""
 
@@ -54,6 +57,7 @@ def lengths(seen: Sequence[Seen]) -> Iterator[Finding]:
         return
     worst = max(wrong, key=lambda one: abs(one.num_frames - one.num_steps))
     counts = f"{worst.num_frames} frames, {worst.num_steps} rows of joints, {worst.declared_length} in the index"
+    counts += several_each(worst.num_frames, worst.num_steps)
     what = f"{in_episodes(one.index for one in wrong)} (episode {worst.index}: {counts})"
     help_ = f"record these again or {leaving_out(one.index for one in wrong)}: which frame belongs to which joints cannot be known"
     yield Finding(Kind.LENGTHS, Severity.FAULT, what, help_, tuple(one.index for one in wrong))
@@ -85,6 +89,13 @@ def clock(seen: Sequence[Seen]) -> Iterator[Finding]:
         return
     if abs(tick * rate_hz - 1) > RATE:
         yield Finding(Kind.CLOCK, Severity.WARNING, f"samples come at {1 / tick:.3g} Hz, declared are {rate_hz:g} Hz", "declare what it is")
+    rates = {episode: 1 / max(float(np.median(gaps)), SHORTEST_S) for episode, gaps in ticks.items()}
+    others = {episode: rate for episode, rate in rates.items() if abs(rate * tick - 1) > JITTER}
+    if others:
+        what = f"samples of {in_episodes(others)} come at {' or '.join(sorted({f'{rate:.3g}' for rate in others.values()})[:2])} Hz, "
+        what += f"of the others at {1 / tick:.3g} Hz"
+        yield Finding(Kind.CLOCK, Severity.WARNING, what, f"{leaving_out(others)}, or record all at one rate", tuple(others))
+    ticks = {episode: gaps for episode, gaps in ticks.items() if episode not in others}
     late = _where(ticks, lambda gap: gap > DROPPED * tick)
     if late:
         longest = max(float(gaps.max()) for gaps in ticks.values())

@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from preimage.data.angles import find_wraps, unwrapped
-from preimage.data.clocks import asked_about, is_clock
+from preimage.data.clocks import is_clock
 from preimage.data.dataset import cannot_unwrap, reads_past
+from preimage.data.questions import questions_about
 from preimage.examination.findings import Finding, Kind, Severity, in_episodes
 from preimage.examination.seen import Seen
 from preimage.records import listed, number_of
@@ -15,13 +16,12 @@ MOST_TASKS, MOST_ABSENT = 4, 1000
 
 
 def clocks(seen: Sequence[Seen], *, chosen: bool) -> Iterator[Finding]:
-    """Joints that are clocks; where the user has named the joints, they know."""
+    """Columns that are no joints; where the user has named the joints, they know."""
     names = seen[0].joint_names
     if chosen:
         return
-    if question := asked_about(names, [one.joints for one in seen]):
-        what, _, help_ = question.partition(": ")
-        yield Finding(Kind.COUNTER, Severity.FAULT, what, help_)
+    for question in questions_about(names, [one.joints for one in seen]):
+        yield Finding(Kind.COUNTER, Severity.FAULT, question.what, question.help, joints=question.columns)
     if known := tuple(name for name in names if is_clock(name)):
         what = f"{', '.join(known)} {'is a clock' if len(known) == 1 else 'are clocks'} and no joint; training leaves it out"
         yield Finding(Kind.COUNTER, Severity.NOTE, what, joints=known)
@@ -34,7 +34,7 @@ def unwrap(seen: Sequence[Seen]) -> tuple[list[Seen], list[Finding]]:
     findings = []
     for wrap in wraps:
         if wrap.impossible:
-            what, _, help_ = cannot_unwrap(wrap, [name for name in names if name != wrap.joint]).partition(": ")
+            what, help_ = cannot_unwrap(wrap, [name for name in names if name != wrap.joint])
             findings.append(Finding(Kind.WRAPS, Severity.FAULT, what, help_, joints=(wrap.joint,)))
         elif wrap.episodes:
             what = f"{reads_past(wrap, len(seen))}, in training too"

@@ -21,6 +21,8 @@ SNAPS = 0.1
 """Share of a joint's span beyond which it goes no farther in one step: the arm makes a tenth, a gripper that snaps all of it."""
 LAGS = range(-2, 7)
 """Steps by which the picture is tried to be late."""
+LEAST_LATE_JOINTS = 2
+"""Steps by which joints must be late: by one they seem to be where the hand leaves the picture before it rests."""
 FOLLOWS = 0.2
 """Correlation that a late picture must reach: what changes in the picture is then the arm, as far as it can be seen."""
 SURE = 4.0
@@ -57,7 +59,7 @@ def _stale_step(one: Seen, scale: Float[np.ndarray, " J"]) -> int | None:
 
 
 def lag(seen: Sequence[Seen]) -> Iterator[Finding]:
-    """A camera that is late in the whole set, by steps of the recording."""
+    """A camera that is late in the whole set, or joints that are, by steps of the recording."""
     scale = divisors(seen)
     rows = []
     for one in (one for one in seen if one.sees):
@@ -72,13 +74,13 @@ def lag(seen: Sequence[Seen]) -> Iterator[Finding]:
     best = int(by_lag.mean(0).argmax())
     late, gain = LAGS[best], by_lag[:, best] - by_lag[:, LAGS.index(0)]
     error = gain.std() / np.sqrt(len(gain))
-    if late >= 1 and by_lag[:, best].mean() >= FOLLOWS and gain.mean() > SURE * error:
-        rate_hz = seen[0].rate_hz
-        what = (
-            f"the picture lags the joints by {number_of(late, 'step')} ({1000 * late / rate_hz:.0f} ms): what changes in it follows their "
-        )
-        what += f"speed best so much later (correlation {by_lag[:, best].mean():.2f}, on time {by_lag[:, LAGS.index(0)].mean():.2f})"
-        help_ = f"shift the pictures forward by {number_of(late, 'step')}, or read the camera when the joints are read"
+    if (late >= 1 or late <= -LEAST_LATE_JOINTS) and by_lag[:, best].mean() >= FOLLOWS and gain.mean() > SURE * error:
+        of_camera, of_joints = ("picture lags the joints", "pictures", "later"), ("joints lag the picture", "joints", "earlier")
+        first, second, when = of_camera if late > 0 else of_joints
+        steps, milliseconds = number_of(abs(late), "step"), 1000 * abs(late) / seen[0].rate_hz
+        what = f"the {first} by {steps} ({milliseconds:.0f} ms): what changes in the picture follows the joints' speed best so much {when} "
+        what += f"(correlation {by_lag[:, best].mean():.2f}, on time {by_lag[:, LAGS.index(0)].mean():.2f})"
+        help_ = f"shift the {second} forward by {steps}, or read the camera when the joints are read"
         yield Finding(Kind.LAG, Severity.WARNING, what, help_)
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from preimage.data.joint_range import FULL_TURN_RAD
 from preimage.data.sequences import LIMIT_MARGIN
 from preimage.network.config import Sensors
 from preimage.records import Plan, Shown, number_of
@@ -89,7 +90,21 @@ def read_limits(path: Path, others: Limits, *, rate_hz: float) -> Limits:
         velocity[joint] = min(speeds, default=velocity[joint])
         if not (lower[joint] < upper[joint] and velocity[joint] > 0):
             raise ValueError(f"{path} leaves {name} no room: give lower below upper, and a velocity and step above 0")
-    return Limits(others.joint_names, others.units, lower, upper, velocity)
+    limits = Limits(others.joint_names, others.units, lower, upper, velocity)
+    _refuse_degrees(path, [others.joint_names.index(name) for name in named], limits, others)
+    return limits
+
+
+def _refuse_degrees(path: Path, given: Sequence[int], limits: Limits, others: Limits) -> None:
+    """Raises ValueError where most joints of a file may turn farther than a joint can: limits in degrees, for what was shown in radians."""
+    farthest, shown = (np.maximum(-each.lower, each.upper) for each in (limits, others))
+    in_degrees = [joint for joint in given if farthest[joint] > FULL_TURN_RAD >= shown[joint] and others.units[joint] in (UNIT, "rad")]
+    if len(in_degrees) > len(given) / 2:
+        joint = in_degrees[0]
+        low, high = f"{limits.lower[joint]:g}", f"{limits.upper[joint]:g}"
+        was = f"it was demonstrated from {others.lower[joint]:.4g} to {others.upper[joint]:.4g} {others.units[joint]}"
+        hint = f"{farthest[joint]:g} degrees are {np.deg2rad(farthest[joint]):.4g} rad"
+        raise ValueError(f"{path} lets {others.joint_names[joint]} go from {low} to {high}, and {was}: {hint}")
 
 
 def commands_of(plan: Plan, limits: Limits, *, rate_hz: float | None = None) -> tuple[Float[np.ndarray, "S J"], tuple[str, ...]]:

@@ -160,6 +160,8 @@ def forget_after(log: Path, update: int) -> None:
     """Forget the log lines of updates that were not saved, and lines cut short."""
     if not log.exists():
         return
+    if not log.is_file():
+        raise ValueError(f"{log} is not a regular file: put the log itself there, or take it away")
     kept = []
     for line in log.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True):
         with contextlib.suppress(ValueError, KeyError, TypeError):

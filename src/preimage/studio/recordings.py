@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from preimage.data.dataset import describe, episode_numbers, load, read_episodes
+from preimage.data.dataset import describe, episode_numbers, load, read_episodes, written_here
 from preimage.data.view import View
 from preimage.examination import Examination, examine
 from preimage.records import Demonstration
@@ -105,8 +105,7 @@ class Recordings:
         folder = self.folder(name)
         with self._lock:
             if name not in self._examined:
-                episodes = read_episodes(folder)
-                self._examined[name] = examine(episodes)
+                self._examined[name] = examine(read_episodes(folder), joints_chosen=written_here(folder))
         examined = self._examined[name]
         found = [
             {
