@@ -16,7 +16,7 @@ import torch
 
 from preimage.method.train import TrainConfig, train
 from preimage.network.config import ModelConfig
-from preimage.storage.checkpoints import CHECKPOINT, append_to_log
+from preimage.storage.checkpoints import CHECKPOINT, append_to_log, forget_after
 from preimage.storage.checksums import is_damaged_safetensors, is_damaged_zip
 from preimage.storage.locks import LOCK, locked
 from preimage.storage.runs import load_model, read_log, read_shown
@@ -367,3 +367,9 @@ def test_killed_at_random_moments_a_training_ends_with_the_same_bits(tmp_path, n
     assert torch.equal(weights(load_model(run)), weights(load_model(never_stopped)))
     assert [line["update"] for line in read_log(run)] == [1, 2, 3, 4, 5, 6]
     assert {path.name for path in run.iterdir()} == {path.name for path in never_stopped.iterdir()}
+
+
+def test_a_log_that_never_ends_is_not_read(tmp_path):
+    (tmp_path / "log.jsonl").symlink_to("/dev/zero")
+    with pytest.raises(ValueError, match="is not a regular file"):
+        forget_after(tmp_path / "log.jsonl", 3)

@@ -81,6 +81,13 @@ def test_what_is_saved_is_all_there_is(memory: DemonstrationMemory, trained: PDV
         DemonstrationMemory.from_tensors({name: value for name, value in memory.tensors().items() if name != "event_joint"})
 
 
+def test_a_memory_whose_parts_do_not_fit_each_other_is_refused(memory: DemonstrationMemory) -> None:
+    for name, tensor in memory.tensors().items():
+        for changed in (tensor[..., None], tensor[None], torch.cat([tensor, tensor]) if tensor.ndim else tensor.repeat(2)):
+            with pytest.raises(ValueError, match="shape"):
+                DemonstrationMemory.from_tensors(memory.tensors() | {name: changed})
+
+
 def test_the_memory_of_one_demonstration_expects_it_and_is_not_trusted(trained: PDVMRNN) -> None:
     alone = remember([bar(0.5)], trained)
     expected = alone.about(problem_to(trained, bar(0.9))).joints_at_goal

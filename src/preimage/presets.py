@@ -380,7 +380,7 @@ def load_memory(name: str | Path, *, device: "torch.device | None" = None) -> "D
     tensors = read_tensors(find_run(name) / MEMORY)
     try:
         memory = DemonstrationMemory.from_tensors(tensors)
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"the memory of {name} is broken or of another version ({error}): train again") from error
     return memory if device is None else memory.to(device)
 

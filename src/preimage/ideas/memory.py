@@ -102,8 +102,10 @@ class DemonstrationMemory:
 
         Raises:
             KeyError, TypeError: a tensor is missing, or there is one too many.
+            ValueError: one of them has another shape than the others ask for.
         """
         others = {name: value for name, value in tensors.items() if name != "event_joint"}
+        validate_shapes(others | {"event_joint": tensors["event_joint"]})
         return cls(**others, event_joint=int(tensors["event_joint"]))  # pyright: ignore[reportArgumentType]
 
     def to(self, device: torch.device) -> Self:
@@ -232,6 +234,23 @@ def views_of(memory: DemonstrationMemory, problem: Problem) -> list[View]:
         begun = torch.cat([coding.decode(problem.start[1])[None], memory.first_joints]) / spread
         views.append(torch.cat([in_own_units(pictures), FIRST_JOINTS_WEIGHT * in_own_units(begun)], 1))
     return [(rows[0], memory.endings(rows[1:], problem.config.modalities, coding, k)) for k, rows in enumerate(views)]
+
+
+def validate_shapes(tensors: Mapping[str, Tensor]) -> None:
+    """Raises ValueError where the tensors of a memory do not fit each other, KeyError where one is missing."""
+    background, first_joints = tensors["background"], tensors["first_joints"]
+    if background.ndim != 3 or first_joints.ndim != 2:
+        raise ValueError(f"background and first_joints have the shapes {tuple(background.shape)} and {tuple(first_joints.shape)}")
+    count, num_joints = first_joints.shape
+    standing, coarse = apart(background).shape, blurred(background, BLUR).shape
+    shapes = {
+        "arrivals": (count, *standing), "first_objects": (count, *standing), "last_frames": (count, *coarse),
+        "first_background": background.shape, "final_joints": (count, num_joints), "start_distance": (), "event_joint": (),
+        "event_joints": (count, *tensors["event_joints"].shape[1:2], num_joints),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        if tensors[name].shape != shape:
+            raise ValueError(f"{name} has the shape {tuple(tensors[name].shape)}, and {tuple(shape)} fits the others")
 
 
 def begin_differently(memory: DemonstrationMemory, coding: JointCoding) -> bool:
