@@ -160,7 +160,7 @@ def test_a_precision_that_does_not_exist_is_refused():
 
 def test_plans_are_searched_for_as_the_preset_says():
     assert options_of(PreimageConfig(run="reach", device="cpu")) == PlanOptions.full()
-    paper = PreimagePolicy(PreimageConfig(run="reach", device="cpu", preset="paper", iterations=0))
-    assert (paper.planner.memory, paper.planner.options) == (None, PlanOptions(iterations=0))
+    paper = PreimagePolicy(PreimageConfig(run="reach", device="cpu", preset="paper", iterations=0, precision="float32"))
+    assert (paper.planner.memory, paper.planner.options) == (None, PlanOptions(iterations=0, precision="float32"))
     with pytest.raises(ValueError, match=r"--policy\.preset is best: give paper, regression, full"):
         PreimagePolicy(settings(preset="best"))
