@@ -166,6 +166,22 @@ def refused(capsys):
     return run
 
 
+@pytest.fixture(scope="module")
+def studio(run_folder, data, tmp_path_factory):
+    """The studio of a run that knows nothing, on the simulated table."""
+    from studios import opened  # whose libraries need not be installed
+
+    return opened(run_folder, [data], tmp_path_factory.mktemp("work"))
+
+
+@pytest.fixture(scope="module")
+def page(studio):
+    """What a browser would ask the studio."""
+    from studios import client
+
+    return client(studio)
+
+
 @contextmanager
 def without_checks() -> Iterator[None]:
     config.update("jaxtyping_disable", True)

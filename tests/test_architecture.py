@@ -35,7 +35,7 @@ MADE_OF = {  # an idea -> the ideas that it is made of
     "mixup": {"image_features"},
     "trust": {"calibration", "image_features", "kriging", "memory"},
     "moved_things": {"memory", "test_time_augmentation"},
-    "replanning": {"gripper_events", "replan_config", "timed_search", "underway"},
+    "replanning": {"belief", "gripper_events", "replan_config", "timed_search", "underway"},
     "timed_search": {"gauss_newton", "residuals"},
     "underway": {"residuals"},
     "watched": {"residuals"},
@@ -88,9 +88,11 @@ WIRES_NOTHING = {
     "preimage.ideas.memory.DemonstrationMemory",
     "preimage.ideas.calibration.Calibration",
     "preimage.ideas.watched.Considered",
+    "preimage.ideas.belief.Belief",
+    "preimage.ideas.belief.Imagined",
 }
-"""What joins plans that were made, what is kept of demonstrations, what was learned of trust in plans, and what a search tells of itself,
-anyone may name."""
+"""What joins plans that were made, what is kept of demonstrations, what was learned of trust in plans, and what a search or a replanner
+tells of itself, anyone may name."""
 
 
 def test_presets_alone_wire_ideas_into_the_method():

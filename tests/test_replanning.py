@@ -7,11 +7,12 @@ import pytest
 import torch
 
 from bars import FULL, PAPER, bar, objective_of, problem_to
+from preimage.ideas.belief import Belief
 from preimage.ideas.last_look import LastLook
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.moved_things import MovedThings
 from preimage.ideas.replan_config import ReplanConfig
-from preimage.ideas.replanning import Belief, Replanner, nearest_step
+from preimage.ideas.replanning import Replanner, nearest_step
 from preimage.ideas.timed_search import ByGaussNewton, Clock, Solution, by_adam
 from preimage.ideas.underway import Sensed, Underway, Window
 from preimage.method.prediction_error import sequence_error
@@ -174,6 +175,24 @@ def test_undisturbed_it_ends_where_the_blind_plan_does(planner: Planner, found: 
     assert beliefs[-1].done
     np.testing.assert_allclose(beliefs[-1].command, found.joints[found.arrival_step], atol=0.05)
     assert [belief.steps_left for belief in beliefs] == list(range(found.arrival_step, 0, -1))
+
+
+def test_what_is_imagined_can_be_looked_at_and_stays_while_nothing_is_searched(planner: Planner, found: Plan) -> None:
+    replanner, ways = planner.replanner(goals=[found.goal], found=found, settings=PATIENT), []
+
+    def decide(percept: Percept) -> Belief:
+        belief = replanner(percept)
+        ways.append((belief, replanner.imagined))
+        if belief.step == 2:
+            replanner.change_goal(Percept(bar(0.3).last.frame))
+        return belief
+
+    drive(FakeRobot(), decide, period_s=0.4, most_steps=40)
+    assert all(belief.steps_left == imagined.arrival - imagined.at for belief, imagined in ways)
+    first, third, fourth = (ways[step][1] for step in (0, 2, 3))
+    assert third.generated is first.generated
+    assert fourth.generated is not first.generated
+    assert fourth.joints[fourth.arrival][0] == pytest.approx(0.3, abs=0.15)
 
 
 def test_what_is_sensed_is_explained_better_and_better(planner: Planner) -> None:

@@ -1,7 +1,6 @@
 """The studio's server: who may speak with it, what it answers, and how its jobs go on, stop and are told of again."""
 
 import io
-import json
 import re
 import threading
 import time
@@ -22,34 +21,10 @@ from starlette.testclient import TestClient
 
 from preimage.studio import closed, jobs
 from preimage.studio.api import Studio
-from preimage.studio.opened import OpenedRun
 from preimage.studio.problems import Refusal
-from preimage.studio.recordings import Recordings
-from preimage.studio.server import application
-from preimage.studio.trainings import Trainings
+from studios import MIDDLE, client, decoded, events_of, forever, opened, picture, planned, sentence, until
 
-HERE = "http://localhost:8230"
 STATIC = Path(preimage.__file__).parent / "studio" / "static"
-MIDDLE = {"seen": [0.5, 0.6], "seed": 0}
-
-
-def opened(run, data, work) -> Studio:
-    run = OpenedRun(str(run))
-    return Studio(run, Recordings(data, run.view), Trainings([run.folder.parent]), work=work)
-
-
-def client(studio: Studio, **more) -> TestClient:
-    return TestClient(application(studio, **more), base_url=HERE, raise_server_exceptions=False)
-
-
-@pytest.fixture(scope="module")
-def studio(run_folder, data, tmp_path_factory) -> Studio:
-    return opened(run_folder, [data], tmp_path_factory.mktemp("work"))
-
-
-@pytest.fixture(scope="module")
-def page(studio) -> TestClient:
-    return client(studio)
 
 
 @pytest.fixture(scope="module")
@@ -62,33 +37,6 @@ def own_page(tmp_path_factory) -> TestClient:
     preimage.train(shown, preimage.ModelConfig.tiny(), config=preimage.TrainOptions(updates=1), folder=place / "run")
     preimage.save(shown, place / "data", task="wave")
     return client(opened(place / "run", [place / "data"], place / "work"))
-
-
-def sentence(answer) -> str:
-    """What a refusal says, once it has the form of RFC 9457."""
-    assert answer.headers["content-type"] == "application/problem+json"
-    problem = answer.json()
-    assert (problem["status"], problem["type"]) == (answer.status_code, "about:blank")
-    assert problem["title"]
-    assert "\n" not in problem["detail"]
-    return problem["detail"]
-
-
-def events_of(page, job: str, **more) -> list[dict]:
-    told = page.get(f"/api/jobs/{job}/events", **more).text
-    return [json.loads(line.removeprefix("data: ")) for line in told.splitlines() if line.startswith("data: ")]
-
-
-def planned(page, goal: dict, preset: str = "paper") -> str:
-    answer = page.post("/api/plans", json={"goal": goal["id"], "preset": preset})
-    assert answer.status_code == 202, answer.text
-    return answer.json()["job"]
-
-
-def picture(size=(64, 64), form="PNG", **more) -> bytes:
-    file = io.BytesIO()
-    Image.fromarray(np.random.default_rng(0).integers(0, 255, size, np.uint8)).save(file, form, **more)
-    return file.getvalue()
 
 
 # ---- who may speak with it
@@ -221,12 +169,6 @@ def test_a_frame_of_a_recording_becomes_a_goal_and_its_episode_the_start(page, d
     assert "no data set" in sentence(page.post("/api/goals/frame", json={"data": "/etc", "episode": 1, "step": 0}))
 
 
-def decoded(text: str) -> np.ndarray:
-    import base64
-
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(text))))
-
-
 # ---- plans
 
 
@@ -309,26 +251,12 @@ def test_a_run_without_a_simulator_plans_and_moves_nothing(own_page):
 # ---- jobs
 
 
-def forever(job):
-    while True:
-        job.go_on()
-        time.sleep(0.001)
-
-
 def test_a_job_that_is_asked_to_stop_ends_at_its_next_step():
     job = jobs.Jobs().add("plan", forever)
     until(lambda: job.state == "running")
     job.stop()
     until(lambda: job.ended)
     assert (job.state, job.events[-1]["event"]) == ("stopped", "stopped")
-
-
-def until(true, seconds: float = 20.0) -> None:
-    """Wait for it."""
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it never happened"
-        time.sleep(0.005)
 
 
 def test_a_job_to_which_nobody_listens_is_stopped(monkeypatch):

@@ -13,8 +13,9 @@ from preimage.compute import threads
 if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it torch, matplotlib or mujoco
     from preimage.data.dataset import load
     from preimage.evaluation.evaluate import Evaluated, evaluate, result_of, wilson_interval
+    from preimage.ideas.belief import Belief
     from preimage.ideas.memory import DemonstrationMemory
-    from preimage.ideas.replanning import Belief, Replanner
+    from preimage.ideas.replanning import Replanner
     from preimage.ideas.waypoints import join
     from preimage.method.config import PlanConfig, TrainConfig
     from preimage.method.learner import NonFinite
@@ -102,8 +103,9 @@ __all__ = [
 ROOMS = {
     "data.dataset": ("load",),
     "evaluation.evaluate": ("Evaluated", "evaluate", "result_of", "wilson_interval"),
+    "ideas.belief": ("Belief",),
     "ideas.memory": ("DemonstrationMemory",),
-    "ideas.replanning": ("Belief", "Replanner"),
+    "ideas.replanning": ("Replanner",),
     "ideas.waypoints": ("join",),
     "method.config": ("PlanConfig", "TrainConfig"),
     "method.one_step": ("follow",),

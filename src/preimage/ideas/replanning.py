@@ -15,13 +15,14 @@ the next.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from preimage.ideas.belief import Belief, Imagined, Way
 from preimage.ideas.gripper_events import events_in
 from preimage.ideas.replan_config import ReplanConfig
 from preimage.ideas.timed_search import ByGaussNewton, Clock, Improve, Solution, by_adam
@@ -46,47 +47,6 @@ MOST_WAITING = 5
 """Steps that are waited, arrived, for the robot to come to rest and for a frame to come."""
 CONTENT = 1.1
 """An error is searched anew when it is this many times what the last search could not lower."""
-
-
-@dataclass(frozen=True, eq=False)
-class Belief:
-    """What is believed, and commanded, at one step."""
-
-    command: Float[np.ndarray, " J"]
-    """Where to be at the next step (units of the joints)."""
-    step: int
-    """Percepts since the start, this one not counted."""
-    steps_left: int
-    """Steps to the arrival, as it is imagined now."""
-    window_error: float
-    """Mean prediction error of what was sensed in the window."""
-    goal_error: float
-    """Prediction error of the goal and the start, where the way arrives."""
-    unexplained: float
-    """The goal's error as a share of that of staying at the start."""
-    doubt: float
-    """The window's error as a share of that of staying at the start; the robot is held where it stays above `disbelief`."""
-    moved: bool
-    """Whether a thing was seen to be elsewhere."""
-    num_imagined: int
-    """Sequences that were imagined at this step."""
-    seconds: float
-    done: bool
-    """Whether this was the last command."""
-    held: str | None = None
-    """Why the robot is held where it is, if it is."""
-
-
-@dataclass(frozen=True, eq=False)
-class Way:
-    """What a solution has the robot do."""
-
-    joints: Float[np.ndarray, "T J"]
-    corrections: Float[np.ndarray, "T J"]
-    """How far the joints are from those that the network imagines."""
-    arrival: int
-    error: float
-    unexplained: float
 
 
 class Replanner:
@@ -138,6 +98,11 @@ class Replanner:
         self._step, self._held, self._num_doubts = -1, None, 0
         self._next_goal: Percept | None = None
         self._has_begun = False
+
+    @property
+    def imagined(self) -> Imagined:
+        """What is imagined now, of which a `Belief` tells in numbers."""
+        return Imagined(self._solution.generated, self._way.joints, min(self._at, self._way.arrival), self._way.arrival)
 
     def change_goal(self, goal: Percept) -> None:
         """Another goal is wanted in place of the one that the robot is on its way to; it need not stop for that."""

@@ -26,7 +26,7 @@ from importlib import resources
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from preimage.records import Percept
 from preimage.robot.camera import Camera, Renderer
@@ -193,6 +193,12 @@ class Arm:
         sensed[: len(ACTIVE_JOINTS)] = self._data.qpos[self._positions]
         return Percept(self._renderer.frame(self._data), sensed)
 
+    def seen_by(self, camera: Camera) -> UInt8[np.ndarray, "H W 1"]:
+        """What another camera than the robot's own sees now."""
+        if camera not in self._others:
+            self._others[camera] = Renderer(camera, self._model)
+        return self._others[camera].frame(self._data)
+
     def ground_truth(self) -> GroundTruth:
         """The true state of the hand and the object now."""
         commands = self._data.ctrl[self._actuators]
@@ -211,7 +217,7 @@ class Arm:
         self._workspace = workspace
         self._model = _compile(workspace)
         self._data = mujoco.MjData(self._model)
-        self._renderer = Renderer(workspace.camera, self._model)
+        self._renderer, self._others = Renderer(workspace.camera, self._model), {}
         self._positions = [self._model.joint(name).qposadr[0] for name in ACTIVE_JOINTS]
         self._actuators = [self._model.actuator(name).id for name in self.joint_names]
 

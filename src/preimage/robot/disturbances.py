@@ -117,10 +117,15 @@ def pushed(*, step: int, side: int) -> Callable[[Arm, Stage, int], None]:
         joints = stage.true_joints.copy()
         radius_m = float(np.linalg.norm((forward_kinematics(joints[: len(ACTIVE_JOINTS)]) - BASE_M)[:2]))
         joints[0] += side * 2 * np.arcsin(min(1.0, PUSH_M / 2 / radius_m))
-        allowed = np.clip(joints, *arm.joint_limits.T)
-        stage.disturb(lambda: [arm.move(allowed, PUSH_S) for _ in range(2)])  # there, and held there, for a motor lags behind
+        lead(arm, stage, joints)
 
     return happens
+
+
+def lead(arm: Arm, stage: Stage, joints: Float[np.ndarray, " J"]) -> None:
+    """The hand is led to joints, as far as they go, and held there."""
+    allowed = np.clip(joints, *arm.joint_limits.T)
+    stage.disturb(lambda: [arm.move(allowed, PUSH_S) for _ in range(2)])  # there, and held there, for a motor lags behind
 
 
 def object_moved(*, step: int, by_m: Float[np.ndarray, " 2"]) -> Callable[[Arm, Stage, int], None]:
@@ -128,12 +133,17 @@ def object_moved(*, step: int, by_m: Float[np.ndarray, " 2"]) -> Callable[[Arm, 
 
     def happens(arm: Arm, stage: Stage, now: int) -> None:
         if now == step:
-            stage.disturb(lambda: arm.shift_object(by_m))
-            x, y, z = stage.scene.positions_m[OBJECT]
-            moved = {**stage.scene.positions_m, OBJECT: (x + float(by_m[0]), y + float(by_m[1]), z)}
-            stage.scene = replace(stage.scene, positions_m=moved)
+            shift_object(arm, stage, by_m)
 
     return happens
+
+
+def shift_object(arm: Arm, stage: Stage, by_m: Float[np.ndarray, " 2"]) -> None:
+    """The object stands so far from where it did (m), for arm and judge."""
+    stage.disturb(lambda: arm.shift_object(by_m))
+    x, y, z = stage.scene.positions_m[OBJECT]
+    moved = {**stage.scene.positions_m, OBJECT: (x + float(by_m[0]), y + float(by_m[1]), z)}
+    stage.scene = replace(stage.scene, positions_m=moved)
 
 
 def goal_changed(*, step: int, to_m: Sequence[float]) -> Callable[[Arm, Stage, int], None]:
@@ -141,6 +151,11 @@ def goal_changed(*, step: int, to_m: Sequence[float]) -> Callable[[Arm, Stage, i
 
     def happens(arm: Arm, stage: Stage, now: int) -> None:
         if now == step:
-            stage.scene = replace(stage.scene, positions_m={**stage.scene.positions_m, "goal": tuple(to_m)})
+            change_goal(stage, to_m)
 
     return happens
+
+
+def change_goal(stage: Stage, to_m: Sequence[float]) -> None:
+    """The judge judges by another goal (m)."""
+    stage.scene = replace(stage.scene, positions_m={**stage.scene.positions_m, "goal": tuple(to_m)})

@@ -11,60 +11,24 @@ from urllib.parse import unquote
 
 from fastapi import APIRouter, Body, Header, Query, Request, Response
 from fastapi.responses import PlainTextResponse, StreamingResponse
-from pydantic import BaseModel, Field
 
-from preimage.presets import Preset
 from preimage.studio import planning
+from preimage.studio.asked import FrameOf, Now, Pace, Place, Point, Touched, Wanted
+from preimage.studio.eyes_open import Walk
 from preimage.studio.goals import MOST_SEEDS, Goal, Goals
-from preimage.studio.intentions import FARTHEST, Intentions
+from preimage.studio.intentions import Intentions
 from preimage.studio.jobs import Job, Jobs
 from preimage.studio.opened import OpenedRun
 from preimage.studio.planning import Planned
 from preimage.studio.problems import Refusal
 from preimage.studio.recordings import Recordings
 from preimage.studio.results import evaluations
+from preimage.studio.touches import Touches
 from preimage.studio.trainings import Trainings
 
 Value = TypeVar("Value")
-Share = Annotated[float, Field(ge=0, le=1)]
-Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS, description="draws what lies on the table")]
 MOST_NAME = 120
 """Letters of a picture's name that are kept."""
-
-
-class Place(BaseModel):
-    """A place on the picture of the table."""
-
-    seen: tuple[Share, Share] = Field(description="shares of the picture's width from the left and of its height from the top")
-    seed: Seed = 0
-
-
-class FrameOf(BaseModel):
-    """A frame of a recording."""
-
-    data: str = Field(max_length=255, description="name of a data set that the studio was given")
-    episode: Annotated[int, Field(ge=0)]
-    step: Annotated[int, Field(ge=0)]
-
-
-class Now(BaseModel):
-    """What the camera sees: after the execution of a plan, or before anything."""
-
-    job: str | None = Field(default=None, max_length=64)
-    seed: Seed = 0
-
-
-class Wanted(BaseModel):
-    """What is to be planned."""
-
-    goal: int = Field(description="number of a goal")
-    preset: Preset = "full"
-
-
-class Point(BaseModel):
-    """A point of the plane of intentions, in standard deviations."""
-
-    point: tuple[Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)], Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]]
 
 
 class Studio:
@@ -91,12 +55,19 @@ class Studio:
             raise Refusal(HTTPStatus.CONFLICT, "this plan is not found yet: wait for it, or plan again")
         return job.result
 
+    def trusted(self, key: str) -> Planned:
+        """Raises Refusal where there is no such plan, or its goal is refused and nobody said to go on anyway."""
+        planned = self.planned(key)
+        planned.validate_trust()
+        return planned
+
 
 def routes(studio: Studio) -> APIRouter:
     """The routes of one studio."""
     api = APIRouter(prefix="/api")
     add_goals(api, studio)
     add_plans(api, studio)
+    add_walks(api, studio)
     add_rest(api, studio)
     return api
 
@@ -163,8 +134,9 @@ def add_plans(api: APIRouter, studio: Studio) -> None:
     def one(key: str) -> dict[str, Any]:
         job = jobs.find(key)
         result = job.result
-        trial = planning.executed(run, result, result.trial) if isinstance(result, Planned) and result.trial else None
-        return account(job) | {"about": job.about, "execution": trial}
+        trial = planning.execute(run, result) if isinstance(result, Planned) and result.trial else None
+        anyway = isinstance(result, Planned) and result.anyway
+        return account(job) | {"about": job.about, "execution": trial, "anyway": anyway}
 
     @api.get("/jobs/{key}/events", summary="What happens in a job, as server-sent events; begins again after Last-Event-ID")
     def events(key: str, request: Request, last_event_id: Annotated[int, Header()] = -1) -> StreamingResponse:
@@ -180,24 +152,50 @@ def add_plans(api: APIRouter, studio: Studio) -> None:
     def execution(key: str) -> dict[str, Any]:
         return planning.execute(run, studio.planned(key))
 
+    @api.post("/jobs/{key}/anyway", summary="Go on with a plan whose goal is refused: somebody read why")
+    def anyway(key: str) -> dict[str, Any]:
+        studio.planned(key).anyway = True
+        return account(jobs.find(key))
+
     @api.post("/jobs/{key}/kept", summary="Keep start and goal on disk, so that the command line can repeat the plan")
     def kept(key: str) -> dict[str, Any]:
         planned = studio.planned(key)
         place = None if planned.goal.source else planning.keep(run, planned.goal, studio.work)
-        return {"command": planning.command_of(run, planned.goal, planned.preset, place)}
+        return {"command": planning.command_of(run, planned.goal, planned.preset, place, anyway=planned.is_refused)}
 
     @api.get("/jobs/{key}/joints.csv", summary="The joints to command, within the limits of the demonstrations")
     def joints(key: str) -> PlainTextResponse:
-        return PlainTextResponse(planning.commands_csv(run, studio.planned(key).plan), media_type="text/csv")
+        return PlainTextResponse(planning.commands_csv(run, studio.trusted(key).plan), media_type="text/csv")
 
     @api.get("/jobs/{key}/lerobot.zip", summary="The same as a LeRobotDataset of one episode, which lerobot-replay plays")
     def episode(key: str) -> Response:
-        return Response(planning.episode_zip(run, studio.planned(key).plan), media_type="application/zip")
+        return Response(planning.episode_zip(run, studio.trusted(key).plan), media_type="application/zip")
 
     @api.get("/jobs/{key}/film.mp4", summary="The film of a plan")
     def film(key: str) -> Response:
         planned = studio.planned(key)
         return Response(planning.film_of(planned), media_type="video/mp4")
+
+
+def add_walks(api: APIRouter, studio: Studio) -> None:
+    """Plans that are gone with eyes open."""
+    run, jobs = studio.run, studio.jobs
+
+    @api.post("/jobs/{key}/walk", status_code=202, summary="Let the arm go a plan step by step, planning anew at each; stopped, it is held")
+    def walk(key: str, wanted: Pace) -> dict[str, Any]:
+        planned = studio.planned(key)
+        walked = Walk(run, planned, jobs, pace=wanted.pace)
+        job = jobs.add("walk", walked.go, goal=planned.goal.described(run), preset=planned.preset, plan=key)
+        job.result = walked.touches
+        return account(job)
+
+    @api.post("/jobs/{key}/touch", summary="Push the hand, move the object, or want another goal, while the arm moves")
+    def touch(key: str, done: Touched) -> dict[str, Any]:
+        job = jobs.find(key)
+        if not isinstance(job.result, Touches) or job.ended:
+            raise Refusal(HTTPStatus.CONFLICT, "nothing moves now: execute a plan first")
+        job.result.add(done.kind, done.seen)
+        return account(job)
 
 
 def add_rest(api: APIRouter, studio: Studio) -> None:

@@ -70,6 +70,10 @@ class Job:
         if self._stop.is_set():
             raise JobStopped
 
+    def rest(self, seconds: float) -> None:
+        """Wait (s), but not once the job was asked to stop."""
+        self._stop.wait(seconds)
+
     def tell(self, name: str, **about: Any) -> None:
         """Write an event down, from any thread, and wake whoever listens."""
         self.events.append({"event": name, "id": len(self.events), **about})

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 from preimage.network.config import Sensors
-from preimage.presets import Planner, PlanOptions, Preset, load_memory
+from preimage.presets import Planner, PlanOptions, Preset, load_calibration, load_memory
 from preimage.robot import TASKS, Arm
 from preimage.robot.limits import Limits, limits_seen
 from preimage.storage.run_files import MEMORY
@@ -95,7 +95,8 @@ class OpenedRun:
                 memory = next((each.memory for each in self._planners.values() if each.memory), None)
                 if options.needs_memory and memory is None:
                     memory = load_memory(self.folder)
-                self._planners[preset] = Planner(model, memory if options.needs_memory else None, options)
+                known, unit = load_calibration(self.folder), self.body.joint_unit
+                self._planners[preset] = Planner(model, memory if options.needs_memory else None, options, known, joint_unit=unit)
             return self._planners[preset]
 
     def described(self) -> dict[str, Any]:

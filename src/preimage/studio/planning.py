@@ -17,7 +17,7 @@ import numpy as np
 from preimage.ideas.watched import Considered
 from preimage.network.coding import to_frames
 from preimage.presets import PlanOptions, Preset
-from preimage.records import NEAR_BELOW, REACHED_BELOW, Demonstration, Plan, Trial, Verdict
+from preimage.records import NEAR_BELOW, REACHED_BELOW, Demonstration, GoalRefused, Plan, Scene, Trial, Verdict
 from preimage.robot.limits import commands_of
 from preimage.storage.plans import save_episode, write_commands
 from preimage.storage.recordings import save
@@ -26,6 +26,7 @@ from preimage.studio.jobs import Job, Jobs
 from preimage.studio.opened import OpenedRun
 from preimage.studio.pictures import inline, strip, text_of
 from preimage.studio.problems import Refusal
+from preimage.studio.table import Table
 
 MOST_DOTS = 12
 """Candidates that are told of in one event: what a search evaluates at once are hardly ever more."""
@@ -44,7 +45,19 @@ class Planned:
     goal: Goal
     preset: Preset
     trial: Trial | None = None
+    anyway: bool = False
+    """Whether a person goes on although the goal is refused."""
     lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def is_refused(self) -> bool:
+        return self.plan.trust is not None and self.plan.trust.refused
+
+    def validate_trust(self) -> None:
+        """Raises Refusal where the goal is refused, and nobody said to go on anyway."""
+        trust = self.plan.trust
+        if trust is not None and trust.refused and not self.anyway:
+            raise Refusal(HTTPStatus.CONFLICT, str(GoalRefused.by(trust, "choose another, or go on anyway")))
 
 
 class Onlooker:
@@ -81,12 +94,13 @@ def plan_to(run: OpenedRun, goal: Goal, preset: Preset, jobs: Jobs, job: Job) ->
     """Search for a plan; what the page gets of it."""
     planner = run.planner(preset)
     found = planner.watched(Onlooker(job, jobs, planner.options)).plan(start=goal.start, goal=goal.goal)
-    job.result = Planned(found, goal, preset)
-    return {"plan": described(run, found, goal, preset)}
+    job.result = planned = Planned(found, goal, preset)
+    return {"plan": described(run, planned)}
 
 
-def described(run: OpenedRun, plan: Plan, goal: Goal, preset: Preset) -> dict[str, Any]:
+def described(run: OpenedRun, planned: Planned) -> dict[str, Any]:
     """A plan as the page gets it."""
+    plan, goal, preset = planned.plan, planned.goal, planned.preset
     way = run.table.way(plan.joints).round(4).tolist() if run.table else None
     return {
         "preset": preset,
@@ -98,14 +112,23 @@ def described(run: OpenedRun, plan: Plan, goal: Goal, preset: Preset) -> dict[st
         "error": plan.error,
         "unexplained": plan.unexplained,
         "verdict": plan.verdict.value if plan.verdict else None,
+        "trust": trust_in(plan),
         "reasons": list(reasons_of(plan)),
         "seconds": plan.seconds,
         "joints": plan.joints.round(4).tolist(),
         "film": text_of(strip(plan.frames)),
         "way": way,
         "executable": goal.scene is not None,
-        "command": command_of(run, goal, preset),
+        "command": command_of(run, goal, preset, anyway=planned.is_refused),
     }
+
+
+def trust_in(plan: Plan) -> dict[str, Any] | None:
+    """How far a plan is to be trusted, as the page gets it."""
+    trust = plan.trust
+    if trust is None:
+        return None
+    return {"probability": trust.probability, "refused": trust.refused, "reasons": list(trust.reasons), "note": trust.note}
 
 
 def reasons_of(plan: Plan) -> Iterator[str]:
@@ -122,34 +145,44 @@ def reasons_of(plan: Plan) -> Iterator[str]:
         yield f"memory expects joints at the goal that are up to {apart:.3f} away from those imagined"
 
 
+def on_table(run: OpenedRun, planned: Planned) -> tuple[Table, Scene]:
+    """Where a plan can be executed.
+
+    Raises:
+        Refusal: nowhere, or its goal is refused and nobody said to go on anyway.
+    """
+    if run.table is None or planned.goal.scene is None:
+        raise Refusal(HTTPStatus.CONFLICT, "there is no simulated arm for this plan: take its joints with you instead")
+    planned.validate_trust()
+    return run.table, planned.goal.scene
+
+
 def execute(run: OpenedRun, planned: Planned) -> dict[str, Any]:
     """Let the arm on the table execute a plan, once.
 
     Raises:
-        Refusal: there is no table for it.
+        Refusal: as `on_table`.
     """
-    if run.table is None or planned.goal.scene is None:
-        raise Refusal(HTTPStatus.CONFLICT, "there is no simulated arm for this plan: take its joints with you instead")
+    table, scene = on_table(run, planned)
     with planned.lock:
         if planned.trial is None:
-            planned.trial = run.table.execute(planned.plan, planned.goal.scene)
-    return executed(run, planned, planned.trial)
+            planned.trial = table.execute(planned.plan, scene)
+    return executed(table, planned.trial, is_judged=planned.goal.is_judged)
 
 
-def executed(run: OpenedRun, planned: Planned, trial: Trial) -> dict[str, Any]:
-    """An execution as the page gets it; a goal whose place nobody knows is not judged."""
-    assert run.table is not None
+def executed(table: Table, trial: Trial, *, is_judged: bool) -> dict[str, Any]:
+    """An execution as the page gets it; where nobody knows where the goal is nothing is judged."""
     about: dict[str, Any] = {
         "steps": len(trial.frames),
         "film": text_of(strip(trial.frames)),
         "joints": trial.joints.round(4).tolist(),
-        "way": run.table.camera.project(trial.end_effector_m).round(4).tolist(),
+        "way": table.camera.project(trial.end_effector_m).round(4).tolist(),
         "limited": list(trial.limited),
         "deviation_cm": None,
         "success": None,
         "details": [],
     }
-    if planned.goal.is_judged:
+    if is_judged:
         about |= {"deviation_cm": 100 * trial.deviation_m, "success": trial.success, "details": details_of(trial)}
     return about
 
@@ -163,11 +196,12 @@ def details_of(trial: Trial) -> list[str]:
     return words
 
 
-def command_of(run: OpenedRun, goal: Goal, preset: Preset, kept: Path | None = None) -> str:
+def command_of(run: OpenedRun, goal: Goal, preset: Preset, kept: Path | None = None, *, anyway: bool = False) -> str:
     """What repeats a plan on the command line.
 
     Args:
         kept: the data set of start and goal that `keep` wrote.
+        anyway: whether the goal is refused otherwise.
     """
     if goal.source and goal.kind == "frame":
         episode = goal.source.rsplit(":", 1)[0]
@@ -177,8 +211,9 @@ def command_of(run: OpenedRun, goal: Goal, preset: Preset, kept: Path | None = N
     else:
         ends = ["--start", f"{kept or 'GOAL'}:0:0", "--goal", f"{kept or 'GOAL'}:0:1"]
     out = f"plans/{kept.name if kept else f'goal-{goal.number}'}"
-    command = shlex.join(["preimage", "plan", run.name, *ends, "--as", preset, "--out", out])
-    return f"{command} && {shlex.join(['preimage', 'execute', out])}" if goal.scene else command
+    anyhow = ["--anyway"] if anyway else []
+    command = shlex.join(["preimage", "plan", run.name, *ends, "--as", preset, "--out", out, *anyhow])
+    return f"{command} && {shlex.join(['preimage', 'execute', out, *anyhow])}" if goal.scene else command
 
 
 def keep(run: OpenedRun, goal: Goal, folder: Path) -> Path:

@@ -9,7 +9,7 @@
 
 import threading
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -28,6 +28,8 @@ from preimage.robot.two_points import ReachTwo
 
 LARGE_PIXELS = 320
 """Height and width of the picture that people click on: the network's own is too small for it."""
+Touch = Literal["push", "object", "goal"]
+"""The hand is pushed, the object moved, another goal wanted."""
 GRID = 48
 """Cells along a side of the picture at which it is looked up whether the arm gets there."""
 
@@ -40,7 +42,8 @@ class Table:
     """
 
     def __init__(self, task: Task, pixels: int) -> None:
-        self.task, self._large = with_frames(task, pixels), with_frames(task, LARGE_PIXELS)
+        self.task = with_frames(task, pixels)
+        self.large_camera = replace(task.workspace.camera, height=LARGE_PIXELS, width=LARGE_PIXELS)
         self._arm, self._lock = Arm(), threading.Lock()
         self._arm.set_up(self.task.workspace)
         self.units = self._arm.joint_units
@@ -68,7 +71,14 @@ class Table:
             "asks": asks,
             "tolerance_cm": 100 * self.task.tolerance_m,
             "things": list(self.task.workspace.things),
+            "touches": list(self.touches),
         }
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """What a person may do while the arm moves; of two places to be reached neither can be changed alone."""
+        movable: tuple[Touch, ...] = ("object",) if self.task.workspace.has_object else ()
+        return ("push", *movable, *(("goal",) if isinstance(self.task, Reach) else ()))
 
     def scene(self, seed: int) -> Scene:
         """What lies on the table by a seed; the arm waits exactly at home."""
@@ -114,10 +124,8 @@ class Table:
     def large(self, scene: Scene) -> UInt8[np.ndarray, "H W 1"]:
         """The start, large enough for people."""
         with self._lock:
-            self._large.lay_out(self._arm, scene)
-            frame = self._arm.sense().frame
-        assert frame is not None
-        return frame
+            self.task.lay_out(self._arm, scene)
+            return self._arm.seen_by(self.large_camera)
 
     def execute(self, plan: Plan, scene: Scene) -> Trial:
         """Let the arm execute a plan, and judge where it ends."""
