@@ -13,8 +13,9 @@ from preimage.records import Trust
 from preimage.robot import TASKS, Arm
 from preimage.robot.execution import Stage
 from preimage.studio import jobs
+from preimage.studio.eyes_open import Walk
 from preimage.studio.table import Table
-from preimage.studio.touches import MOST_WAITING, Touches, move_object, push, want
+from preimage.studio.touches import Touches, move_object, push, want
 from studios import MIDDLE, decoded, events_of, planned, sentence, until
 
 FAST = {"pace": 20}
@@ -83,6 +84,28 @@ def test_another_goal_is_shown_and_judged_by(page, plan, studio):
     assert sum("goal" in event for event in events) == 1
     blind = page.post(f"/api/jobs/{plan}/execution").json()
     assert events[-1]["execution"]["deviation_cm"] != pytest.approx(blind["deviation_cm"], abs=0.1)
+
+
+def test_what_is_done_after_the_last_decision_is_left_undone(plan, studio, monkeypatch):
+    walked, made = Walk(studio.run, studio.planned(plan), studio.jobs, pace=20), Planner.replanner
+
+    def late(self, **more):
+        replanner = made(self, **more)
+
+        def decide(percept):
+            belief = replanner(percept)
+            decide.imagined = replanner.imagined
+            if belief.done:
+                walked.touches.add("goal", (0.35, 0.7))
+            return belief
+
+        return decide
+
+    monkeypatch.setattr(Planner, "replanner", late)
+    job = studio.jobs.add("walk", walked.go)
+    until(lambda: job.ended)
+    assert job.state == "done"
+    assert walked.touches.taken() == [("goal", (0.35, 0.7))]
 
 
 def test_a_walk_that_is_stopped_moves_no_more(page, plan, studio):
@@ -172,11 +195,9 @@ def test_another_goal_is_what_the_camera_would_see_there():
     np.testing.assert_array_equal(percept.frame, table.goal(stage.scene).frame)
 
 
-def test_few_touches_wait():
-    touches = Touches(("push",))
-    for _ in range(MOST_WAITING):
-        touches.add("push", (0.5, 0.5))
-    with pytest.raises(Exception, match="too much happens at once"):
-        touches.add("push", (0.5, 0.5))
-    assert len(list(touches.taken())) == MOST_WAITING
-    assert not list(touches.taken())
+def test_of_what_is_done_within_a_step_the_last_of_each_kind_counts():
+    touches = Touches(("push", "goal"))
+    for kind, seen in (("push", (0.1, 0.1)), ("goal", (0.2, 0.2)), ("push", (0.3, 0.3))):
+        touches.add(kind, seen)
+    assert touches.taken() == [("push", (0.3, 0.3)), ("goal", (0.2, 0.2))]
+    assert touches.taken() == []

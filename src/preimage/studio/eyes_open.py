@@ -45,7 +45,7 @@ class Walk:
         self._happened: list[str] = []
         self._next_goal: Percept | None = None
         self._film_of: Generated | None = None
-        self._is_judged = planned.goal.is_judged
+        self._is_judged, self._is_over = planned.goal.is_judged, False
 
     def go(self, job: Job) -> dict[str, Any]:
         """Go all the way; what became of it."""
@@ -61,6 +61,7 @@ class Walk:
                 replanner.change_goal(self._next_goal)
                 about, self._next_goal = {"goal": inline(self._next_goal.frame)}, None
             belief = replanner(percept)
+            self._is_over = belief.done
             job.tell("step", **about, **self._described(belief, replanner.imagined, percept))
             return belief
 
@@ -76,7 +77,7 @@ class Walk:
             self._go_on(job)
             job.rest(min(left_s, ERRAND_S))
         self._step_ends_s = max(self._step_ends_s, time.monotonic())  # what thought for too long is not made up for
-        for kind, seen in self.touches.taken():
+        for kind, seen in () if self._is_over else self.touches.taken():
             try:
                 self._happened.append(self._do(stage, kind, seen))
             except ValueError as error:

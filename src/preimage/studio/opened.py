@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 from preimage.network.config import Sensors
-from preimage.presets import Planner, PlanOptions, Preset, load_calibration, load_memory
+from preimage.presets import Planner, PlanOptions, Preset, ReplanConfig, load_calibration, load_memory
 from preimage.robot import TASKS, Arm
 from preimage.robot.limits import Limits, limits_seen
 from preimage.storage.run_files import MEMORY
@@ -116,5 +116,6 @@ class OpenedRun:
             "presets": presets,
             "frame": {"height": self.sensors.height, "width": self.sensors.width, "channels": self.sensors.channels},
             "view": view,
+            "disbelief": ReplanConfig.disbelief,
             "table": self.table.described() if self.table else None,
         }

@@ -1,7 +1,6 @@
 """What whoever looks on does while the arm moves: the hand is pushed, the object is moved, or another goal is wanted."""
 
-import queue
-from collections.abc import Iterator
+import threading
 from http import HTTPStatus
 
 import numpy as np
@@ -19,38 +18,31 @@ from preimage.studio.table import Table, Touch
 
 Seen = tuple[float, float]
 """A place on the picture: shares of its width from the left and of its height from the top."""
-MOST_WAITING = 16
-"""Touches that may wait for the end of a step: more come only where it is not the page that asks."""
 
 
 class Touches:
-    """What was done since the last step ended.
+    """What was done since the last step ended; of each kind the last counts.
 
     Args:
         possible: what can be done on the table.
     """
 
     def __init__(self, possible: tuple[Touch, ...]) -> None:
-        self._possible = possible
-        self._waiting: queue.Queue[tuple[Touch, Seen]] = queue.Queue(MOST_WAITING)
+        self._possible, self._lock = possible, threading.Lock()
+        self._waiting: dict[Touch, Seen] = {}
 
     def add(self, kind: Touch, seen: Seen) -> None:
-        """Something is to happen when the running step ends.
-
-        Raises:
-            Refusal: nothing of the kind can be done on this table, or too much waits already.
-        """
+        """Something is to happen when the running step ends; Refusal where nothing of the kind can be done on this table."""
         if kind not in self._possible:
             raise Refusal(HTTPStatus.CONFLICT, f"on this table {kind} is nothing that can be done: choose {' or '.join(self._possible)}")
-        try:
-            self._waiting.put_nowait((kind, seen))
-        except queue.Full as error:
-            raise Refusal(HTTPStatus.TOO_MANY_REQUESTS, "too much happens at once: wait for the next step", retry_after_s=1) from error
+        with self._lock:
+            self._waiting[kind] = seen
 
-    def taken(self) -> Iterator[tuple[Touch, Seen]]:
-        """What waits, once each."""
-        while not self._waiting.empty():
-            yield self._waiting.get()
+    def taken(self) -> list[tuple[Touch, Seen]]:
+        """What waits, which is let go of."""
+        with self._lock:
+            waiting, self._waiting = self._waiting, {}
+        return list(waiting.items())
 
 
 def push(table: Table, arm: Arm, stage: Stage, seen: Seen) -> str:

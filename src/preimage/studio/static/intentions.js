@@ -3,7 +3,7 @@
 import { get, post } from "./api.js";
 import { $, Film, chart, line, make, scale, shape, still } from "./draw.js";
 import { trouble } from "./main.js";
-import { searchPath } from "./plan.js";
+import { searchPath } from "./search.js";
 
 const EDGE = 0.35; // standard deviations around the outermost intentions
 const KEY_STEP = 0.1; // standard deviations that an arrow key moves the point by

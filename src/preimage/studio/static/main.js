@@ -3,12 +3,13 @@
 import { get } from "./api.js";
 import { $, still } from "./draw.js";
 import * as plan from "./plan.js";
+import * as replan from "./replan.js";
 import * as intentions from "./intentions.js";
 import * as demonstrations from "./demonstrations.js";
 import * as training from "./training.js";
 import * as results from "./results.js";
 
-const PAGES = { plan, intentions, demonstrations, training, results };
+const PAGES = { plan, replan, intentions, demonstrations, training, results };
 const ready = new Set();
 let opened;
 
@@ -63,6 +64,7 @@ async function begin() {
     opened = await get("studio");
     const made = opened.made.num_demonstrations ? ` · ${opened.made.num_demonstrations} demonstrations` : "";
     $("run").textContent = `${opened.run}${made}`;
+    document.querySelector('nav a[href="#/replan"]').hidden = !opened.table;
     document.querySelector('nav a[href="#/demonstrations"]').hidden = !opened.data.length;
     document.querySelector('nav a[href="#/training"]').hidden = !opened.has_runs;
     document.querySelector('nav a[href="#/results"]').hidden = !opened.has_results;
