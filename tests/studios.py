@@ -21,7 +21,8 @@ MIDDLE = {"seen": [0.5, 0.6], "seed": 0}
 
 def opened(run, data, work) -> Studio:
     run = OpenedRun(str(run))
-    return Studio(run, Recordings(data, run.view), Trainings([run.folder.parent]), work=work)
+    recordings = Recordings(data, run.view)
+    return Studio(run, recordings, Trainings([run.folder.parent], recordings, into=work / "runs"), work=work)
 
 
 def client(studio: Studio, **more) -> TestClient:

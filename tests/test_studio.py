@@ -2,6 +2,7 @@
 
 import io
 import re
+import shutil
 import threading
 import time
 import zipfile
@@ -14,6 +15,7 @@ from PIL import Image
 import preimage
 from preimage.data.sources import find_percept
 from preimage.records import Demonstration
+from preimage.report.result_files import is_evaluation, read_result
 from preimage.storage.runs import read_config
 
 pytest.importorskip("fastapi", reason="the extra studio is not installed: pip install -e '.[studio]'")
@@ -24,6 +26,7 @@ from preimage.studio.api import Studio
 from preimage.studio.problems import Refusal
 from studios import MIDDLE, client, decoded, events_of, forever, opened, picture, planned, sentence, until
 
+RESULTS = Path(__file__).parents[1] / "results"
 STATIC = Path(preimage.__file__).parent / "studio" / "static"
 
 
@@ -344,20 +347,37 @@ def test_trainings_are_watched_from_their_logs(page):
     assert len(run["visual"]) == len(run["proprioceptive"]) == 2
 
 
+def results_in(folder, studio) -> TestClient:
+    return client(Studio(studio.run, studio.recordings, studio.trainings, results=folder))
+
+
 def test_results_are_shown_with_their_command(studio):
-    rows = (
-        client(Studio(studio.run, studio.recordings, studio.trainings, results=Path(__file__).parents[1] / "results"))
-        .get("/api/results")
-        .json()
-    )
+    rows = results_in(RESULTS, studio).get("/api/results").json()
     assert rows
     assert all(row["goals"] >= row["success"] and len(row["interval"]) == 2 for row in rows)
+    assert sum(row["command"] is not None for row in rows) > len(rows) / 2
+
+
+def test_a_result_leads_to_the_films_beside_it_and_to_no_other_file(studio, tmp_path):
+    some = next(path for path in RESULTS.glob("*.json") if is_evaluation(read_result(path)))
+    for place in ("a.json", "demo/result.json"):
+        (tmp_path / place).parent.mkdir(exist_ok=True)
+        shutil.copy(some, tmp_path / place)
+    for film in ("a/best.mp4", "demo/goal-1.mp4", "other.mp4"):
+        (tmp_path / film).parent.mkdir(exist_ok=True)
+        (tmp_path / film).write_bytes(film.encode())
+    page = results_in(tmp_path, studio)
+    assert {row["name"]: row["films"] for row in page.get("/api/results").json()} == {"a": ["best.mp4"], "demo": ["goal-1.mp4"]}
+    assert page.get("/api/results/a/films/best.mp4").content == b"a/best.mp4"
+    for path in ("a/films/other.mp4", "a/films/..%2fother.mp4", "a/films/..%2fa.json", "demo/films/result.json", "none/films/best.mp4"):
+        assert page.get(f"/api/results/{path}").status_code == 404
 
 
 def test_the_page_asks_for_nothing_that_is_not_described(page):
     described = {re.sub(r"\{\w+\}", "X", path) for path in page.get("/api/openapi.json").json()["paths"]}
     calls = re.findall(
-        r"(?<![.\w])(?:get|post|upload|download|asked)\(\s*[`\"]([^`\"]+)[`\"]", "".join(path.read_text() for path in STATIC.glob("*.js"))
+        r"(?<![.\w])(?:get|post|upload|download|blob|asked)\(\s*[`\"]([^`\"]+)[`\"]",
+        "".join(path.read_text() for path in STATIC.glob("*.js")),
     )
     asked = {"/api/" + re.sub(r"\$\{[^}]*\}", "X", call).split("?")[0] for call in calls}
     assert asked - described <= {"/api/openapi.json", "/api/X"}

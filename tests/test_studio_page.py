@@ -1,89 +1,28 @@
 """The studio's page in a real browser: what a person clicks, drops, stops and reads, by mouse and by keyboard alone."""
 
 import io
-import os
 import re
-import shutil
-import subprocess
-import sys
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from PIL import Image
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-pytestmark = pytest.mark.slow
-pytest.importorskip("fastapi", reason="the extra studio is not installed: pip install -e '.[studio]'")
-api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: pip install -e '.[test]'")
-if CHROMIUM is None:
-    pytest.skip("no Chromium is here to try the page in: apt-get install chromium", allow_module_level=True)
+from browsing import chromium, click_table, findings, found, reach, served, sideways, visit
 
-PATIENCE_MS = 180_000
-"""How long a step of the page may take on a machine that does other work."""
-QUIET = ["--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def address(run_folder, data, tmp_path_factory):
     """The page of a tiny network on the simulated table."""
-    words = ["studio", run_folder, "--data", data, "--runs", run_folder.parent, "--work", tmp_path_factory.mktemp("work"), "--port", "0"]
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "preimage", *map(str, words)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment) as server:
-        assert server.stdout is not None
-        told = server.stdout.readline()
-        yield told.removeprefix("open ").strip()
-        server.terminate()
+    with served(run_folder, "--data", data, "--runs", run_folder.parent, "--work", tmp_path_factory.mktemp("work")) as address:
+        yield address
 
 
 @pytest.fixture(scope="module")
 def browser():
-    alone = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-    with api.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=[*QUIET, *alone])
+    with chromium() as browser:
         yield browser
-        browser.close()
-
-
-@contextmanager
-def visit(browser, address, *, width=1440, wrong=(), **more):
-    """A visit of the page, which asks nobody else for anything and complains of nothing but what is expected."""
-    context = browser.new_context(viewport={"width": width, "height": 900}, **more)
-    context.set_default_timeout(PATIENCE_MS)
-    outside, complaints = [], []
-    context.on("request", lambda asked: outside.append(asked.url) if not asked.url.startswith((address, "blob:", "data:")) else None)
-    context.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
-    context.on("weberror", lambda error: complaints.append(str(error.error)))
-    page = context.new_page()
-    page.goto(address)
-    page.wait_for_selector("#scene.shown")
-    yield page
-    context.close()
-    assert not outside
-    assert not [text for text in complaints if not any(status in text for status in wrong)]
-
-
-def click_table(page, across=0.5, down=0.6):
-    box = page.locator("#scene").bounding_box()
-    page.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
-
-
-def found(page):
-    page.wait_for_selector("#found:not([hidden])")
-
-
-def findings(page) -> list[str]:
-    """What axe has against the page as it is."""
-    from axe_core_python.sync_playwright import Axe
-
-    told = Axe().run(page)["violations"]
-    return [f"{each['id']}: {each['nodes'][0]['html'][:120]}" for each in told]
-
-
-def sideways(page) -> bool:
-    """Whether the page has to be scrolled sideways."""
-    return page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth")
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (360, "dark")])
@@ -157,15 +96,6 @@ def test_everything_can_be_done_by_keyboard_alone(browser, address):
         page.keyboard.press("ArrowRight")
         assert page.locator("#head-words").inner_text().startswith("step 1 of")
         assert page.locator("#play").get_attribute("aria-label") == "Play"  # nothing plays by itself where no motion is wanted
-
-
-def reach(page, name: str) -> None:
-    """Press Tab until an element has the focus."""
-    for _ in range(60):
-        if page.evaluate("document.activeElement.id") == name:
-            return
-        page.keyboard.press("Tab")
-    raise AssertionError(f"{name} is not reached by the Tab key")
 
 
 def test_a_point_is_dragged_in_the_plane_of_intentions_and_the_film_follows(browser, address):

@@ -29,10 +29,11 @@ def studio(
 
     Args:
         run: a run folder, the name of a bundled model, or hf:OWNER/NAME of the Hugging Face Hub.
-        data: data sets whose episodes are shown, and whose frames may be goals.
-        runs: run folders, or folders of them, whose trainings are shown as they go on.
+        data: data sets whose episodes are shown, whose frames may be goals, and on which the page may train.
+        runs: run folders, or folders of them, whose trainings are shown as they go on; new ones begin in the first folder of them.
         results: folder of the JSON files of evaluations.
-        work: folder that starts and goals are kept in, when the page is asked for the command that repeats a plan.
+        work: folder that starts and goals are kept in, when the page is asked for the command that repeats a plan, and in its `runs`
+            new trainings, where --runs names no folder of them.
         host: address to listen at; any other than this machine's own asks for the token that is printed.
         port: of the page; 0 takes any that is free.
         open_: open it in the browser at once.
@@ -50,7 +51,8 @@ def studio(
     from preimage.studio.trainings import Trainings
 
     opened = OpenedRun(run)
-    shown = Studio(opened, Recordings(data, opened.view), Trainings(runs), results=results, work=work)
+    recordings = Recordings(data, opened.view)
+    shown = Studio(opened, recordings, Trainings(runs, recordings, into=work / "runs"), results=results, work=work)
 
     def ready(address: str) -> None:
         print(f"open {address}", flush=True)

@@ -1,12 +1,11 @@
 """What the page asks for, route by route, under /api; OpenAPI describes it at /api/openapi.json."""
 
-import asyncio
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 from urllib.parse import unquote
 
 from fastapi import APIRouter, Body, Header, Query, Request, Response
@@ -22,11 +21,11 @@ from preimage.studio.opened import OpenedRun
 from preimage.studio.planning import Planned
 from preimage.studio.problems import Refusal
 from preimage.studio.recordings import Recordings
-from preimage.studio.results import evaluations
+from preimage.studio.results import Results
 from preimage.studio.touches import Touches
+from preimage.studio.training_routes import add_trainings
 from preimage.studio.trainings import Trainings
 
-Value = TypeVar("Value")
 MOST_NAME = 120
 """Letters of a picture's name that are kept."""
 
@@ -45,8 +44,8 @@ class Studio:
     def __init__(
         self, run: OpenedRun, recordings: Recordings, trainings: Trainings, *, results: Path | None = None, work: Path = Path("studio")
     ) -> None:
-        self.run, self.recordings, self.trainings, self.results, self.work = run, recordings, trainings, results, work
-        self.jobs, self.goals, self.intentions = Jobs(), Goals(run, recordings), Intentions(run)
+        self.run, self.recordings, self.trainings, self.work = run, recordings, trainings, work
+        self.jobs, self.goals, self.intentions, self.results = Jobs(), Goals(run, recordings), Intentions(run), Results(results)
 
     def planned(self, key: str) -> Planned:
         """Raises Refusal where there is no such plan."""
@@ -69,6 +68,7 @@ def routes(studio: Studio) -> APIRouter:
     add_plans(api, studio)
     add_walks(api, studio)
     add_rest(api, studio)
+    add_trainings(api, studio.trainings, studio.jobs)
     return api
 
 
@@ -78,7 +78,7 @@ def add_goals(api: APIRouter, studio: Studio) -> None:
 
     @api.get("/studio", summary="What was opened: the run, its joints, presets and table, the data sets")
     def opened() -> dict[str, Any]:
-        more = {"has_runs": studio.trainings.has_any, "has_results": any(True for _ in evaluations(studio.results))}
+        more = {"has_runs": studio.trainings.has_any, "has_results": studio.results.has_any}
         return run.described() | {"data": studio.recordings.listed()} | more
 
     @api.get("/scene", summary="What the camera sees before anything moves")
@@ -199,15 +199,15 @@ def add_walks(api: APIRouter, studio: Studio) -> None:
 
 
 def add_rest(api: APIRouter, studio: Studio) -> None:
-    """Intentions, recordings, trainings, results."""
+    """Intentions, recordings, results."""
 
     @api.get("/intentions", summary="The training intentions in two dimensions, and how what is imagined from each ends")
     async def intentions() -> dict[str, Any]:
-        return await by_worker(studio.jobs, studio.intentions.map)
+        return await studio.jobs.by_worker(studio.intentions.map)
 
     @api.post("/intentions/film", summary="What is imagined from a point of the plane of intentions")
     async def imagined(wanted: Point) -> dict[str, Any]:
-        return await by_worker(studio.jobs, partial(studio.intentions.film, wanted.point))
+        return await studio.jobs.by_worker(partial(studio.intentions.film, wanted.point))
 
     @api.get("/data/{name}/episodes/{episode}", summary="An episode of a recording")
     def episode(name: str, episode: int) -> dict[str, Any]:
@@ -217,18 +217,13 @@ def add_rest(api: APIRouter, studio: Studio) -> None:
     def findings(name: str) -> dict[str, Any]:
         return studio.recordings.findings(name)
 
-    @api.get("/runs", summary="Trainings, and how far they are")
-    def runs() -> list[dict[str, Any]]:
-        return studio.trainings.listed()
-
     @api.get("/results", summary="What was measured before")
     def results() -> list[dict[str, Any]]:
-        return list(evaluations(studio.results))
+        return studio.results.listed()
 
-
-async def by_worker(jobs: Jobs, work: Callable[[], Value]) -> Value:
-    """What the worker computes, also between two steps of a plan; given up where whoever asked has left."""
-    return await asyncio.wrap_future(jobs.errand(work))
+    @api.get("/results/{name}/films/{film}", summary="A film that lies beside a result")
+    def film(name: str, film: str) -> Response:
+        return Response(studio.results.film(name, film), media_type="video/mp4")
 
 
 def account(job: Job) -> dict[str, Any]:

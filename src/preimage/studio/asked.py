@@ -1,16 +1,18 @@
 """What the page may say in a request: places, frames, plans, touches. FastAPI checks it and describes it."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from preimage.presets import Preset
+from preimage.presets import Preset, TrainOptions
 from preimage.studio.goals import MOST_SEEDS
 from preimage.studio.intentions import FARTHEST
 from preimage.studio.table import Touch
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS, description="draws what lies on the table")]
+MOST_UPDATES = 1_000_000
+"""Months of them."""
 MOST_PACE = 20.0
 """More is no longer seen."""
 
@@ -55,6 +57,16 @@ class Touched(BaseModel):
 
     kind: Touch
     seen: tuple[Share, Share] = Field(description="where to: shares of the picture's width from the left and of its height from the top")
+
+
+class Training(BaseModel):
+    """A training that is to begin."""
+
+    data: str = Field(max_length=255, description="name of a data set that the studio was given")
+    name: str = Field(min_length=1, max_length=64, description="what the run is to be called")
+    size: Literal["tiny", "small", "paper"] = "small"
+    preset: Preset = "full"
+    updates: int = Field(default=TrainOptions.updates, ge=1, le=MOST_UPDATES)
 
 
 class Point(BaseModel):

@@ -163,6 +163,10 @@ class Jobs:
         self._waiting.put(None)  # wakes the worker where it has nothing to do
         return promised
 
+    async def by_worker(self, work: Callable[[], Value]) -> Value:
+        """What the worker computes, also between two steps of a job; given up where whoever asked has left."""
+        return await asyncio.wrap_future(self.errand(work))
+
     def run_errands(self) -> None:
         """Called by the worker, and by its jobs between two steps."""
         while not self._errands.empty():

@@ -72,6 +72,10 @@ class Recordings:
             self._read.move_to_end((name, episode))
             return self._read[name, episode]
 
+    def seen_by(self, view: View, name: str, episode: int) -> Demonstration:
+        """An episode as another run looks at recordings; ValueError where it does not fit that."""
+        return load(self.folder(name), view=view, only=(episode,))[0]
+
     def listed(self) -> list[dict[str, Any]]:
         """The data sets as the page gets them."""
         return [

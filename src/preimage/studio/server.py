@@ -3,7 +3,8 @@
 import secrets
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from http import HTTPStatus
 from importlib import resources
 from pathlib import Path
@@ -30,7 +31,14 @@ def application(studio: Studio, *, token: str | None = None) -> Closed:
     Args:
         token: what a request has to know; None on the loopback interface.
     """
-    app = FastAPI(title="preimage studio", version="1", docs_url=None, redoc_url=None, openapi_url="/api/openapi.json")
+
+    @asynccontextmanager
+    async def until_closed(_: FastAPI) -> AsyncIterator[None]:
+        yield
+        studio.trainings.trainer.close()
+
+    addresses = {"docs_url": None, "redoc_url": None, "openapi_url": "/api/openapi.json"}
+    app = FastAPI(title="preimage studio", version="1", lifespan=until_closed, **addresses)
     app.include_router(routes(studio))
     add_page(app)
     add_problems(app)

@@ -1,12 +1,24 @@
-"""Trainings watched from outside: the logs of run folders, as they grow."""
+"""Trainings: run folders whose logs are read as they grow and whose checkpoints are looked at; the page begins, stops and resumes them."""
 
+import threading
 from collections.abc import Sequence
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
-from preimage.storage.runs import part_of, read_config, read_log
+import torch
+
+from preimage.data.sequences import at_rate
+from preimage.method.plan import problem_of
+from preimage.network.coding import to_frames
+from preimage.network.inputs import home
+from preimage.presets import PlanOptions
+from preimage.records import Demonstration
+from preimage.storage.runs import WEIGHTS, load_model, part_of, read_config, read_log, read_view
+from preimage.studio.pictures import strip, text_of
 from preimage.studio.problems import Refusal
+from preimage.studio.recordings import Recordings
+from preimage.studio.trainer import Trainer
 
 MOST_POINTS = 400
 """Updates that the page gets of a training: more are not to be told apart on a screen."""
@@ -19,40 +31,106 @@ class Trainings:
 
     Args:
         folders: run folders, or folders of them.
+        recordings: data sets to learn from.
+        into: folder for new runs, where none of `folders` is one of runs.
     """
 
-    def __init__(self, folders: Sequence[Path]) -> None:
-        self._folders = folders
+    def __init__(self, folders: Sequence[Path], recordings: Recordings, *, into: Path) -> None:
+        self._into = next((folder for folder in folders if not is_run(folder)), into)
+        self._folders = (*folders, self._into)
+        self._recordings, self.trainer = recordings, Trainer()
+        self._films: dict[Path, tuple[int, dict[str, Any]]] = {}
+        self._lock = threading.Lock()
 
     @property
     def has_any(self) -> bool:
-        return bool(self._runs())
+        return bool(self._runs() or self._recordings.descriptions)
+
+    def begin(self, data: str, name: str, *, size: str, preset: str, updates: int) -> dict[str, Any]:
+        """Train a new run on a data set that the studio was given; Refusal where that cannot be."""
+        if name in self._runs():
+            raise Refusal(HTTPStatus.CONFLICT, f"there is a run {name} already: choose another name, or resume it")
+        folder = self.trainer.begin(self._recordings.folder(data), self._into, name, size=size, preset=preset, updates=updates)
+        return {"name": name, "folder": str(folder)}
+
+    def resume(self, name: str) -> dict[str, Any]:
+        """Go on with a run on the data it learned from; Refusal where the studio was not given them, or somebody writes it."""
+        folder = self._folder(name)
+        self.trainer.resume(self._recordings.folder(str(part_of(read_config(folder), "data").get("name"))), folder)
+        return self.described(name)
+
+    def stop(self, name: str) -> dict[str, Any]:
+        """Stop a training that the page started; Refusal where it is another."""
+        self.trainer.stop(self._folder(name))
+        return self.described(name)
 
     def listed(self) -> list[dict[str, Any]]:
         """The runs there are now, as the page gets them."""
         return [self.described(name) for name in self._runs()]
 
     def described(self, name: str) -> dict[str, Any]:
-        """How far a training is, and its errors so far.
-
-        Raises:
-            Refusal: there is no such run.
-        """
-        folder = self._runs().get(name)
-        if folder is None:
-            raise Refusal(HTTPStatus.NOT_FOUND, f"there is no run {name[:80]} in the folders that the studio was given by --runs")
+        """How far a training is, and its errors so far; Refusal where there is no such run."""
+        folder = self._folder(name)
+        config = read_config(folder) if is_run(folder) else {}
         try:
             lines = read_log(folder)
         except ValueError:  # it has not begun
             lines = []
-        wanted = part_of(read_config(folder), "train").get("updates")
+        wanted = part_of(config, "train").get("updates")
         done = lines[-1]["update"] if lines else 0
         recent = [line["seconds"] for line in lines[-RECENT:]]
         left_s = sum(recent) / len(recent) * max(0, wanted - done) if recent and isinstance(wanted, int) else None
         shown = lines[:: max(1, len(lines) // MOST_POINTS)]
-        about = {"name": name, "updates": wanted, "done": done, "left_s": left_s}
+        state, words = self.trainer.state(folder)
+        weights = folder / WEIGHTS
+        about = {"name": name, "updates": wanted, "done": done, "left_s": left_s, "state": state, "words": words}
+        about["weights"] = str(weights.stat().st_mtime_ns) if weights.is_file() else None
+        about["resumable"] = done < (wanted or 0) and part_of(config, "data").get("name") in self._recordings.descriptions
         return about | {key: [line[key] for line in shown] for key in ("update", "visual", "proprioceptive")}
 
+    @torch.no_grad()
+    def film(self, name: str) -> dict[str, Any]:
+        """The first training sequence as the last checkpoint regenerates it, beside what was recorded; Refusal where there is none."""
+        folder = self._folder(name)
+        if not (folder / WEIGHTS).is_file():
+            raise Refusal(HTTPStatus.NOT_FOUND, f"{name} has no checkpoint yet: wait for the first")
+        stamp = (folder / WEIGHTS).stat().st_mtime_ns
+        with self._lock:
+            kept = self._films.get(folder)
+            if kept is None or kept[0] != stamp:
+                kept = self._films[folder] = stamp, self._regenerated(folder) | {"weights": str(stamp)}
+            return kept[1]
+
+    def _regenerated(self, folder: Path) -> dict[str, Any]:
+        model, shown = load_model(folder), self._first_shown(folder)
+        shown = None if shown is None else at_rate(shown, model.config.rate_hz)
+        start = home(model) if shown is None else shown.first
+        problem = problem_of(model, start, start, PlanOptions())
+        space = model.intention_table.space(None)
+        frames = to_frames(problem.imagine(space.intention(space.training[:1])).pixels[0]).cpu().numpy()
+        recorded = None if shown is None else text_of(strip(shown.frames))
+        return {"height": frames.shape[1], "width": frames.shape[2], "film": text_of(strip(frames)), "recorded": recorded}
+
+    def _first_shown(self, folder: Path) -> Demonstration | None:
+        """The first demonstration that a run learned from, where the studio was given its data and they can be read as they were."""
+        learned_from = part_of(read_config(folder), "data")
+        left_out = learned_from.get("held_out", [])
+        episodes = [episode for episode in learned_from.get("episodes", []) if episode not in left_out]
+        if learned_from.get("name") not in self._recordings.descriptions or not episodes:
+            return None
+        return self._recordings.seen_by(read_view(folder), learned_from["name"], episodes[0])
+
+    def _folder(self, name: str) -> Path:
+        """Raises Refusal where there is no such run."""
+        folder = self._runs().get(name)
+        if folder is None:
+            raise Refusal(HTTPStatus.NOT_FOUND, f"there is no run {name[:80]} in the folders that the studio was given by --runs")
+        return folder
+
     def _runs(self) -> dict[str, Path]:
-        there = [path for folder in self._folders for path in (folder, *sorted(folder.glob("*"))) if (path / "config.json").is_file()]
-        return {path.resolve().name: path for path in there}
+        there = [path for folder in self._folders for path in (folder, *sorted(folder.glob("*"))) if is_run(path)]
+        return {path.resolve().name: path for path in (*self.trainer.folders, *there)}  # one that just begins has written nothing yet
+
+
+def is_run(folder: Path) -> bool:
+    return (folder / "config.json").is_file()

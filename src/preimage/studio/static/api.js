@@ -48,10 +48,12 @@ export const upload = async (path, file) =>
     })
   ).json();
 
+export const blob = async (path) => (await asked(path)).blob();
+
 /** Hand a file of the server to the person. */
 export async function download(path, name) {
   const link = document.createElement("a");
-  link.href = URL.createObjectURL(await (await asked(path)).blob());
+  link.href = URL.createObjectURL(await blob(path));
   link.download = name;
   link.click();
   URL.revokeObjectURL(link.href);

@@ -7,7 +7,11 @@ import { state } from "./state.js";
 import { mark, ring, wayOf } from "./target.js";
 
 const VERDICTS = { reached: "It imagines to reach the goal", near: "It imagines to come near", "in doubt": "In doubt: it does not see itself arrive" };
-const FILES = [["joints.csv", "joints.csv", "Joints (CSV)"], ["lerobot.zip", "lerobot.zip", "Episode (LeRobot)"], ["film.mp4", "plan.mp4", "Film (MP4)"]];
+const FILES = {
+  "Joints (CSV)": (job) => download(`jobs/${job}/joints.csv`, "joints.csv"),
+  "Episode (LeRobot)": (job) => download(`jobs/${job}/lerobot.zip`, "lerobot.zip"),
+  "Film (MP4)": (job) => download(`jobs/${job}/film.mp4`, "plan.mp4"),
+};
 
 export function buildOutcome() {
   $("execute").addEventListener("click", () => execute().catch(trouble));
@@ -55,7 +59,7 @@ function offer(refused) {
   $("walk-link").href = `#/replan?plan=${job}`;
   const say = refused ? "Nothing has moved, and nothing will unless you go on anyway." : "Nothing has moved yet: execute lets the arm follow what was imagined.";
   $("deviation").textContent = found.executable ? say : "";
-  $("downloads").replaceChildren(...(refused ? [] : FILES.map(([path, name, label]) => make("button", { type: "button", onclick: () => download(`jobs/${job}/${path}`, name).catch(trouble) }, label))));
+  $("downloads").replaceChildren(...(refused ? [] : Object.entries(FILES).map(([label, take]) => make("button", { type: "button", onclick: () => take(job).catch(trouble) }, label))));
 }
 
 async function goOn() {
