@@ -1,16 +1,15 @@
-"""The studio in a real browser: a server in a process of its own, a Chromium, and visits that ask nobody else for anything.
+"""The studio in a real browser: a Chromium, and visits that ask nobody else for anything.
 
 Where Playwright or a Chromium is missing, whatever imports this is skipped with a line that says what to install.
 """
 
 import os
 import shutil
-import subprocess
-import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+
+from serving import served as served
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytest.importorskip("fastapi", reason="the extra studio is not installed: pip install -e '.[studio]'")
@@ -21,18 +20,6 @@ if CHROMIUM is None:
 PATIENCE_MS = 180_000
 """How long a step of the page may take on a machine that does other work."""
 QUIET = ["--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
-
-
-@contextmanager
-def served(*words: object) -> Iterator[str]:
-    """The address of a studio that was started with these words."""
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "preimage", "studio", *map(str, words), "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment) as server:
-        assert server.stdout is not None
-        told = server.stdout.readline()
-        yield told.removeprefix("open ").strip()
-        server.terminate()
 
 
 @contextmanager

@@ -241,7 +241,7 @@ def test_page_says_the_count_the_interval_and_every_goal(tmp_path):
     assert "<strong>3/5</strong>" in text
     assert "Wilson 95 % interval 23–88 %" in text
     for goal in range(5):
-        assert f"<td>{goal}</td><td>{1.1 + goal:.1f}</td>" in text
+        assert f'<th scope="row">{goal}</th><td data-head="deviation (cm)">{1.1 + goal:.1f}</td>' in text
 
 
 def test_page_puts_both_baselines_beside(tmp_path):
@@ -297,7 +297,7 @@ def test_page_closes_every_element_it_opens(tmp_path):
 def test_page_shows_a_dash_for_what_is_not_known(tmp_path):
     results = make_results()
     results["rows"][0]["error"] = None
-    assert "<td>–</td>" in page(results, [], tmp_path / "index.html", title="Reach").read_text()
+    assert '<td data-head="prediction error">–</td>' in page(results, [], tmp_path / "index.html", title="Reach").read_text()
 
 
 def test_page_refuses_results_that_are_none(tmp_path):

@@ -27,6 +27,7 @@ from preimage.studio.problems import Refusal
 from studios import MIDDLE, client, decoded, events_of, forever, opened, picture, planned, sentence, until
 
 RESULTS = Path(__file__).parents[1] / "results"
+DESIGN = Path(preimage.__file__).parent / "report" / "design.css"
 STATIC = Path(preimage.__file__).parent / "studio" / "static"
 
 
@@ -268,6 +269,26 @@ def test_a_job_to_which_nobody_listens_is_stopped(monkeypatch):
     until(lambda: job.state == "stopped")
 
 
+def test_a_job_whose_last_listener_leaves_is_stopped(monkeypatch):
+    monkeypatch.setattr(jobs, "GRACE_S", 0.05)
+    job = jobs.Jobs().add("plan", forever)
+
+    async def listen_for_a_while() -> None:
+        first, second = (job.listen(-1, never) for _ in range(2))
+        assert (await anext(first))["event"] == (await anext(second))["event"] == "waiting"
+        await first.aclose()
+        await asyncio.sleep(4 * jobs.GRACE_S)
+        assert not job.ended  # one is still there
+        await second.aclose()
+
+    async def never() -> bool:
+        return False
+
+    asyncio.run(listen_for_a_while())
+    until(lambda: job.ended)
+    assert job.state == "stopped"
+
+
 def test_the_queue_is_bounded_and_says_when_to_come_again():
     queue, go = jobs.Jobs(), threading.Event()
     waiting = [queue.add("plan", lambda _: go.wait(20) and {}) for _ in range(jobs.MOST_WAITING + 1)]
@@ -385,7 +406,7 @@ def test_the_page_asks_for_nothing_that_is_not_described(page):
 
 
 def test_the_page_asks_nobody_else_and_is_light():
-    texts = {path.name: path.read_text() for path in STATIC.iterdir()}
+    texts = {path.name: path.read_text() for path in (*STATIC.iterdir(), DESIGN)}
     outside = {
         name: re.findall(r"(?:https?:)?//[\w.-]+\.\w+", re.sub(r"http://www\.w3\.org/\S+", "", text)) for name, text in texts.items()
     }

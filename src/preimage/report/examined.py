@@ -60,13 +60,14 @@ def _facts(seen: Sequence[Seen], camera: str | None, joint_unit: str | None) -> 
 
 def _table(findings: Sequence[Finding]) -> str:
     rows = "".join(
-        f'<tr class="{"failure" if finding.severity is Severity.FAULT else finding.severity.value}"><td>{finding.severity.value}</td>'
-        f"<td><b>{escape(finding.kind.value)}</b></td><td>{escape(finding.what)}</td><td>{escape(finding.help)}</td></tr>\n"
+        f'<tr class="{finding.severity.value}"><td>{finding.severity.value}</td><td><b>{escape(finding.kind.value)}</b></td>'
+        f'<td data-head="what and where">{escape(finding.what)}</td><td data-head="what would help">{escape(finding.help)}</td></tr>\n'
         for finding in findings
     )
+    heads = "".join(f'<th scope="col">{head}</th>' for head in ("how grave", "kind", "what and where", "what would help"))
     return (
-        '<h2>What was found</h2>\n<div class="wide"><table class="words">\n'
-        f"<tr><th></th><th></th><th>what and where</th><th>what would help</th></tr>\n{rows}</table></div>"
+        '<h2>What was found</h2>\n<div class="card"><table class="words">\n'
+        f"<thead><tr>{heads}</tr></thead>\n<tbody>{rows}</tbody></table></div>"
     )
 
 

@@ -31,6 +31,8 @@ _BASELINES: dict[str, str] = {
     "prior_mean": "no goal: the same model, its intention at the prior mean",
     "do_nothing": "do nothing: the arm stays where it starts",
 }
+_COMPARED = ("reached", "share of goals", "95 % interval", "deviation (cm): mean", "median", "max")
+_GOAL = ("deviation (cm)", "outcome", "arrival step", "prediction error", "seconds")
 _LOOPS = {"closed": "plans executed without looking again", "open": "plans corrected step by step by what is sensed"}
 
 
@@ -85,10 +87,12 @@ def page(
 
 
 def document(title: str, body: str) -> str:
-    style = files("preimage.report").joinpath("page.css").read_text(encoding="utf-8")
+    """A page that opens without a network: the design of all pages, which the studio has too, and the report's own, lie in it."""
+    style = "".join(files("preimage.report").joinpath(name).read_text(encoding="utf-8") for name in ("design.css", "page.css"))
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
         f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
     )
 
@@ -133,23 +137,37 @@ def _comparison(results: Mapping[str, Any]) -> str:
     ]
     return (
         "<h2>Beside doing without a model</h2>\n"
-        '<div class="wide"><table>\n<tr><th>method</th><th>reached</th><th class="left whole">share of goals</th>'
-        f"<th>95 % interval</th><th>deviation (cm): mean</th><th>median</th><th>max</th></tr>\n{ours}\n{''.join(rest)}</table></div>\n"
-        '<p class="note">The thin line in each bar spans the Wilson 95 % interval.</p>'
+        f'<div class="card"><table class="numbers">\n{_head("method", *_COMPARED)}<tbody>\n{ours}{"".join(rest)}</tbody></table></div>\n'
+        '<p class="note">The grey bar spans the Wilson 95 % interval, the dot is the share that was reached.</p>'
     )
 
 
 def _comparison_row(name: str, counts: Mapping[str, Any], num_goals: int, kind: str) -> str:
     head, _, rest = name.partition(": ")
-    low, high = (100 * bound for bound in counts["interval"])
-    share = 100 * counts["success"] / num_goals
-    bar = f'<div class="track"><i style="width:{share:.1f}%"></i><b style="left:{low:.1f}%;width:{high - low:.1f}%"></b></div>'
-    numbers = "".join(f"<td>{_number(counts['deviation_cm'].get(key), 1)}</td>" for key in ("mean", "median", "max"))
+    numbers = [_number(counts["deviation_cm"].get(key), 1) for key in ("mean", "median", "max")]
+    cells = (f"<b>{counts['success']}/{num_goals}</b>", _bar(counts, num_goals), _interval(counts["interval"]), *numbers)
     described = f'<br><span class="note">{escape(rest)}</span>' if rest else ""
+    return f'<tr class="{kind}"><th scope="row"><b>{escape(head)}</b>{described}</th>{_cells(_COMPARED, cells)}</tr>\n'
+
+
+def _bar(counts: Mapping[str, Any], num_goals: int) -> str:
+    """The share that was reached, and its interval, from 0 to 100 %."""
+    low, high = (100 * bound for bound in counts["interval"])
     return (
-        f'<tr class="{kind}"><td><b>{escape(head)}</b>{described}</td><td><b>{counts["success"]}/{num_goals}</b></td>'
-        f'<td class="whole">{bar}</td><td>{_interval(counts["interval"])}</td>{numbers}</tr>\n'
+        '<svg class="interval" viewBox="0 0 100 10" aria-hidden="true"><rect class="all" y="2" width="100" height="6" rx="3"></rect>'
+        f'<rect class="span" x="{low:.1f}" y="2" width="{max(1, high - low):.1f}" height="6" rx="3"></rect>'
+        f'<circle class="best" cx="{100 * counts["success"] / num_goals:.1f}" cy="5" r="4"></circle></svg>'
     )
+
+
+def _head(*names: str) -> str:
+    cells = "".join(f'<th scope="col">{escape(name)}</th>' for name in names)
+    return f"<thead><tr>{cells}</tr></thead>"
+
+
+def _cells(heads: Sequence[str], cells: Sequence[str]) -> str:
+    """Cells of a row, each with the head that stands above it where there is room for columns, and in it where there is none."""
+    return "".join(f'<td data-head="{escape(head)}">{cell}</td>' for head, cell in zip(heads, cells, strict=True))
 
 
 def _cases(cases: Sequence[Case], folder: Path) -> str:
@@ -169,7 +187,7 @@ def _case(case: Case, folder: Path) -> str:
     label = escape(case.name, quote=True)
     moving = f'<img src="{film}" alt="film of {label}">'
     if case.film.suffix.lower() == ".mp4":
-        moving = f'<video src="{film}" controls loop muted autoplay playsinline aria-label="film of {label}"></video>'
+        moving = f'<video src="{film}" controls loop muted playsinline preload="auto" aria-label="film of {label}"></video>'
     return (
         f'<section class="case {"success" if case.success else "failure"}"><h3>{escape(case.name)} '
         f"<span>{_number(case.deviation_m * 100, 1)} cm off</span>{_verdict(case.success)}</h3>\n"
@@ -178,14 +196,15 @@ def _case(case: Case, folder: Path) -> str:
 
 
 def _all_goals(rows: Sequence[Mapping[str, Any]]) -> str:
-    head = "".join(f"<th>{name}</th>" for name in ("deviation (cm)", "", "arrival step", "prediction error", "seconds"))
-    body = "\n".join(
-        f'<tr class="{"success" if row["success"] else "failure"}"><td>{escape(str(row["goal"]))}</td>'
-        f"<td>{_number(row['deviation_cm'], 1)}</td><td>{_verdict(row['success'])}</td>"
-        f"<td>{escape(str(row['arrival_step']))}</td><td>{_number(row['error'], 2)}</td><td>{_number(row['seconds'], 1)}</td></tr>"
-        for row in rows
-    )
-    return f'<h2>Every goal</h2>\n<div class="wide"><table>\n<tr><th>goal</th>{head}</tr>\n{body}\n</table></div>'
+    body = "\n".join(_goal_row(row) for row in rows)
+    return f'<h2>Every goal</h2>\n<div class="card"><table class="numbers">\n{_head("goal", *_GOAL)}<tbody>\n{body}\n</tbody></table></div>'
+
+
+def _goal_row(row: Mapping[str, Any]) -> str:
+    numbers = _number(row["error"], 2), _number(row["seconds"], 1)
+    cells = _number(row["deviation_cm"], 1), _verdict(row["success"]), escape(str(row["arrival_step"])), *numbers
+    kind, goal = "success" if row["success"] else "failure", escape(str(row["goal"]))
+    return f'<tr class="{kind}"><th scope="row">{goal}</th>{_cells(_GOAL, cells)}</tr>'
 
 
 def _verdict(success: bool) -> str:

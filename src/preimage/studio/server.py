@@ -47,8 +47,8 @@ def application(studio: Studio, *, token: str | None = None) -> Closed:
 
 def add_page(app: FastAPI) -> None:
     """The files of the page, read once; there are no others to be asked for."""
-    folder = resources.files("preimage.studio") / "static"
-    files = {each.name: each.read_bytes() for each in folder.iterdir() if Path(each.name).suffix in KINDS}
+    shared, own = resources.files("preimage.report") / "design.css", resources.files("preimage.studio") / "static"
+    files = {each.name: each.read_bytes() for each in (shared, *own.iterdir()) if Path(each.name).suffix in KINDS}
 
     @app.get("/{name:path}", include_in_schema=False)
     def page(name: str) -> Response:

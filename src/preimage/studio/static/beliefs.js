@@ -22,6 +22,7 @@ export function beliefsPanel(disbelief) {
 
 export function clearBeliefs() {
   beliefs = [];
+  delete $("beliefs").dataset.step;
   $("happened").replaceChildren();
   for (const id of ["belief-arrival", "belief-goal", "belief-window", "belief-thought"]) $(id).textContent = "–";
   for (const [name] of KINDS) $(`belief-${name}`).textContent = "";
@@ -30,6 +31,7 @@ export function clearBeliefs() {
 
 export function believe(belief) {
   beliefs.push(belief);
+  $("beliefs").dataset.step = belief.step;
   const percent = (share) => `${(100 * share).toPrecision(2)} %`;
   $("belief-arrival").textContent = `step ${belief.step + belief.steps_left}`;
   $("belief-goal").textContent = belief.goal_error.toPrecision(3);
