@@ -1,5 +1,6 @@
 """The studio's server: who may speak with it, what it answers, and how its jobs go on, stop and are told of again."""
 
+import asyncio
 import io
 import re
 import shutil

@@ -2,7 +2,7 @@
 
     python tests/visit.py --out docs/media
 
-takes some minutes. `--width 360 --scheme dark --no-film` shows how it looks elsewhere.
+takes some minutes. `--all --width 360 --scheme dark --mark=-360` shows every page as it looks elsewhere.
 """
 
 import argparse
@@ -32,14 +32,14 @@ SCREEN = 1200
 class Camera:
     """Takes screenshots, and the pictures of a film, each shown for so long."""
 
-    def __init__(self, page, out: Path, mark: str) -> None:
-        self._page, self._out, self._mark = page, out, mark
+    def __init__(self, page, out: Path, *, mark: str, whole: bool) -> None:
+        self._page, self._out, self._mark, self._whole = page, out, mark, whole
         self._pictures: list[Image.Image] = []
         self._shown_ms: list[int] = []
 
     def still(self, name: str) -> None:
-        """The whole page, as a file."""
-        self._page.screenshot(path=self._out / f"{name}{self._mark}.png", full_page=True)
+        """What is on the screen, or the whole page, as a file."""
+        self._page.screenshot(path=self._out / f"{name}{self._mark}.png", full_page=self._whole)
 
     def film(self, shown_ms: int) -> None:
         """What is on the screen now."""
@@ -84,6 +84,7 @@ def replan(page, camera: Camera) -> None:
     camera.film(700)
     page.select_option("#pace", "0.25")
     page.click("#walk-go")
+    page.wait_for_selector("#walk-stop:not([hidden])")
     for step in steps(page, camera):
         if step == 3:
             page.mouse.move(*place(page, 0.62, 0.48))
@@ -164,7 +165,7 @@ def main() -> None:
     words.add_argument("--out", type=Path, required=True, help="folder of the pictures")
     words.add_argument("--width", type=int, default=SCREEN)
     words.add_argument("--scheme", choices=["light", "dark"], default="light")
-    words.add_argument("--all", action="store_true", help="screenshots of the other pages too")
+    words.add_argument("--all", action="store_true", help="the other pages too, and each as a whole")
     words.add_argument("--mark", default="", help="after the names of the files")
     given = words.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -174,7 +175,7 @@ def main() -> None:
         chromium() as browser,
         visit(browser, address, width=given.width, color_scheme=given.scheme) as page,
     ):
-        camera = Camera(page, given.out, given.mark)
+        camera = Camera(page, given.out, mark=given.mark, whole=given.all)
         plan(page, camera)
         replan(page, camera)
         intentions(page, camera)

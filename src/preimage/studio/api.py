@@ -66,6 +66,7 @@ def routes(studio: Studio) -> APIRouter:
     api = APIRouter(prefix="/api")
     add_goals(api, studio)
     add_plans(api, studio)
+    add_found(api, studio)
     add_walks(api, studio)
     add_rest(api, studio)
     add_trainings(api, studio.trainings, studio.jobs)
@@ -115,7 +116,7 @@ def add_goals(api: APIRouter, studio: Studio) -> None:
 
 
 def add_plans(api: APIRouter, studio: Studio) -> None:
-    """Plans and their executions."""
+    """Searches for plans, as jobs."""
     run, jobs = studio.run, studio.jobs
 
     @api.post("/plans", status_code=202, summary="Search for a plan; it is stopped when nobody listens to its events any more")
@@ -147,6 +148,11 @@ def add_plans(api: APIRouter, studio: Studio) -> None:
         job = jobs.find(key)
         job.stop()
         return account(job)
+
+
+def add_found(api: APIRouter, studio: Studio) -> None:
+    """What can be done with a plan that was found."""
+    run, jobs = studio.run, studio.jobs
 
     @api.post("/jobs/{key}/execution", summary="Let the simulated arm execute a plan, and judge where it ends")
     def execution(key: str) -> dict[str, Any]:

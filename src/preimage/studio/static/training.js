@@ -101,12 +101,13 @@ async function regenerate(run) {
 }
 
 function draw(name) {
-  for (const kind of ["recorded", "film"]) {
-    const film = films.get(name)?.[kind];
+  const { recorded, film: regenerated } = films.get(name) ?? {};
+  const steps = Math.max(recorded?.steps ?? 0, regenerated?.steps ?? 0) + 3; // the end stays a little
+  for (const [kind, film] of Object.entries({ recorded, film: regenerated })) {
     const figure = articleOf(name)?.querySelector(`[data-film=${kind}]`);
     if (!film || !figure) continue;
     figure.hidden = false;
-    film.draw(figure.querySelector("canvas"), still.matches ? film.steps - 1 : step % (film.steps + 3)); // the end stays a little
+    film.draw(figure.querySelector("canvas"), still.matches ? film.steps - 1 : step % steps);
   }
 }
 
