@@ -43,8 +43,10 @@ def visit(browser, address, *, width=1440, wrong=(), shown="#scene.shown", **mor
     page = context.new_page()
     page.goto(address)
     page.wait_for_selector(shown)
-    yield page
-    context.close()
+    try:
+        yield page
+    finally:
+        context.close()
     assert not outside
     assert not [text for text in complaints if not any(status in text for status in wrong)]
 

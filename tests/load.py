@@ -99,7 +99,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, serving(network(Path(folder) / "tiny"), "--work", folder) as (address, pid):
         load = put_under_load(address, pid, plans=given.plans, tabs=given.tabs)
     print(f"{load.found} plans found, {WARM_UP} of them to warm up, {len(load.failed)} failed, grown by {load.grown_mb:.1f} MB")
-    print(*load.failed, sep="\n")
+    print(*sorted(set(load.failed)), sep="\n")
     raise SystemExit(bool(load.failed))
 
 

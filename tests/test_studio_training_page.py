@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 from browsing import chromium, findings, served, sideways, visit
+from preimage.report import film
 from preimage.report.result_files import is_evaluation, read_result
+from test_report import make_plan
 
 pytestmark = pytest.mark.slow
 RESULTS = Path(__file__).parents[1] / "results"
@@ -44,7 +46,7 @@ def test_a_result_leads_to_its_command_and_films(browser, run_folder, tmp_path, 
             shutil.copy(path, tmp_path)
     chosen = sorted(tmp_path.glob("reach-100-*.json"))[0]
     chosen.with_suffix("").mkdir()
-    (chosen.with_suffix("") / "best.mp4").write_bytes(b"")
+    film(make_plan(num_steps=4, arrival_step=2), None, chosen.with_suffix("") / "best.mp4")
     with (
         served(run_folder, "--results", tmp_path) as address,
         visit(browser, f"{address}#/results", shown="#result-rows tr", width=width, color_scheme=scheme) as page,

@@ -104,6 +104,7 @@ def serve(studio: Studio, *, host: str, port: int, ready: Callable[[str], None])
     with socket.socket(family) as listening:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((host, port))
+        listening.listen()  # whoever opens the address at once waits until the server is up, and is not refused
         number = listening.getsockname()[1]
         config = uvicorn.Config(application(studio, token=token), log_level="error", access_log=False, timeout_graceful_shutdown=1)
         threading.Thread(target=warm_up, args=[studio], daemon=True).start()
