@@ -149,4 +149,4 @@ def tasks_by_number(folder: Path) -> dict[int, str]:
     if table.exists():
         rows = read_table(table, ["task_index"], TASK_NAMES).to_pylist()
     named = [(row.get("task_index"), next((row[name] for name in TASK_NAMES if row.get(name)), None)) for row in rows]
-    return {number: task for number, task in named if is_count(number) and isinstance(task, str)}
+    return {number: task for number, task in named if isinstance(number, int) and is_count(number) and isinstance(task, str)}

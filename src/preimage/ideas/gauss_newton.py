@@ -163,6 +163,6 @@ def better_of(here: Iterate, tried: Iterate) -> Iterate:
     count = len(here.points)
     generated = Generated(*(torch.cat([getattr(each.generated, name) for each in (here, tried)]) for name in ("pixels", "log_codes")))
     values = (torch.cat([getattr(each, name) for each in (here, tried)]) for name in ("points", "error", "arrival", "residuals"))
-    both = Iterate(*values, generated)
+    both = Iterate(*values, generated=generated)
     rows = torch.cat([torch.arange(count)[:, None], count + torch.arange(len(tried.points)).view(count, -1)], 1).to(here.arrival.device)
     return both[rows.gather(1, both.error.nan_to_num(nan=torch.inf)[rows].argmin(1, keepdim=True))[:, 0]]
