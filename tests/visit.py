@@ -19,9 +19,9 @@ from browsing import chromium, click_table, found, visit
 from preimage.robot import TASKS, Arm, record
 from serving import served
 
-FILM_WIDTH = 800
+FILM_WIDTH = 960
 """Pixels of the film: small enough to lie in a README, large enough to read the headings."""
-QUALITY = 62
+QUALITY = 75
 """Of the film's pictures (WebP)."""
 GO = "step => { const head = document.getElementById('head'); head.value = step; head.dispatchEvent(new Event('input')); }"
 """Puts the playhead on a step."""

@@ -13,7 +13,7 @@ const HELP = {
   object: "Click where the object shall stand.",
   goal: "Click where it shall go instead.",
 };
-const PACES = [[1, "as fast as the robot"], [0.5, "half as fast"], [0.25, "a quarter as fast"]];
+const PACES = [[1, "the robot's"], [0.5, "half of it"], [0.25, "a quarter"]];
 const FRAME_MS = 220; // of what is imagined ahead
 
 let studio;
@@ -71,13 +71,13 @@ function build() {
         make("p", { class: "lead" }, "It looks at every step, and plans the rest of its way anew. Disturb it while it moves, and see what it believes."),
         table,
         make("p", { class: "hint", id: "walk-help" }),
-        make("div", { class: "row between" }, make("fieldset", { class: "segments", id: "touches", disabled: true }, make("legend", { class: "unseen" }, "What a click does while it moves"), ...choices), make("label", { class: "hint" }, "It moves ", make("select", { id: "pace" }, ...PACES.map(([value, label]) => make("option", { value, selected: value === 0.5 }, label))))),
+        make("div", { class: "row between" }, make("fieldset", { class: "segments", id: "touches", disabled: true }, make("legend", { class: "unseen" }, "What a click does while it moves"), ...choices), make("label", { class: "hint" }, "Speed ", make("select", { id: "pace" }, ...PACES.map(([value, label]) => make("option", { value, selected: value === 0.5 }, label))))),
       ),
       make(
         "div",
         { class: "search" },
         make("div", { class: "row between" }, make("p", { class: "walk-status", id: "walk-status", role: "status" }), make("button", { type: "button", id: "walk-stop", class: "stop", hidden: true, onclick: () => post(`jobs/${walk}/stop`).catch(trouble) }, "Stop: hold the arm"), make("button", { type: "button", id: "walk-go", class: "chief", disabled: true, onclick: () => go().catch(trouble) }, "Execute")),
-        make("div", { class: "views" }, view("walk-seen", "sees now"), view("walk-now", "imagined now"), view("walk-ahead", "imagined ahead"), view("walk-goal", "goal")),
+        make("div", { class: "views" }, view("walk-seen", "sees now"), view("walk-now", "imagined now"), view("walk-ahead", "and ahead"), view("walk-goal", "goal")),
         ...beliefsPanel(studio.disbelief),
       ),
     ),
