@@ -241,7 +241,7 @@ def test_page_says_the_count_the_interval_and_every_goal(tmp_path):
     assert "<strong>3/5</strong>" in text
     assert "Wilson 95 % interval 23–88 %" in text
     for goal in range(5):
-        assert f'<th scope="row">{goal}</th><td data-head="deviation (cm)">{1.1 + goal:.1f}</td>' in text
+        assert f'<th scope="row" data-head="goal">{goal}</th><td data-head="deviation (cm)">{1.1 + goal:.1f}</td>' in text
 
 
 def test_page_puts_both_baselines_beside(tmp_path):

@@ -86,6 +86,20 @@ def test_another_goal_is_shown_and_judged_by(page, plan, studio):
     assert events[-1]["execution"]["deviation_cm"] != pytest.approx(blind["deviation_cm"], abs=0.1)
 
 
+def test_an_arm_that_does_not_believe_what_it_sees_is_held_and_says_why(page, plan, monkeypatch):
+    made, doubting = Planner.replanner, ReplanConfig(disbelief=1e-9, patience=1, budget_ms=20)
+    monkeypatch.setattr(Planner, "replanner", lambda self, **more: believing_nothing(made(self, **more), doubting))
+    events = events_of(page, walk(page, plan, FAST))
+    assert (events[-1]["event"], events[-1]["ended"]) == ("done", "held")
+    assert events[-1]["why"] == events[-2]["held"]
+    assert "what is sensed is not what is imagined" in events[-1]["why"]
+
+
+def believing_nothing(replanner, settings: ReplanConfig):
+    replanner.settings = settings
+    return replanner
+
+
 def test_what_is_done_after_the_last_decision_is_left_undone(plan, studio, monkeypatch):
     walked, made = Walk(studio.run, studio.planned(plan), studio.jobs, pace=20), Planner.replanner
 

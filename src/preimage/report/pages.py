@@ -204,7 +204,7 @@ def _goal_row(row: Mapping[str, Any]) -> str:
     numbers = _number(row["error"], 2), _number(row["seconds"], 1)
     cells = _number(row["deviation_cm"], 1), _verdict(row["success"]), escape(str(row["arrival_step"])), *numbers
     kind, goal = "success" if row["success"] else "failure", escape(str(row["goal"]))
-    return f'<tr class="{kind}"><th scope="row">{goal}</th>{_cells(_GOAL, cells)}</tr>'
+    return f'<tr class="{kind}"><th scope="row" data-head="goal">{goal}</th>{_cells(_GOAL, cells)}</tr>'
 
 
 def _verdict(success: bool) -> str:
