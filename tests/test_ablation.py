@@ -52,6 +52,7 @@ def test_the_sign_test_is_that_of_a_fair_coin(gained: int, lost: int, p: float) 
     assert sign_test(gained=gained, lost=lost) == pytest.approx(p)
 
 
+@pytest.mark.slow
 def test_a_table_goes_on_row_by_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cells = [Cell("reach", num_demonstrations=4, size="tiny", updates=2, goals=2, seed=seed) for seed in (0, 1)]
     rows = [Variant("regression"), Variant("regression", "- hold at the goal", {"hold_goal": False}), Variant("full")]

@@ -203,7 +203,7 @@ def test_joints_that_are_named_are_those_of_every_episode(foreign):
 
 
 def test_a_frame_that_cannot_be_decoded_is_left_out_and_told(folder, noisy):
-    edit_rows(folder / DATA, lambda rows: rows[4].update({CAMERA: {"bytes": b"", "path": None}}))
+    edit_rows(folder / DATA, lambda rows: rows[4].update({CAMERA: {"bytes": b"no picture", "path": None}}))
     episode = list(read_episodes(folder))[1]
     np.testing.assert_array_equal(episode.frames[..., :1], noisy[1].frames[[0, 2, 3]])
     assert len(episode.faults) == 1

@@ -73,6 +73,7 @@ def test_a_bad_episode_can_be_left_out_and_the_sentence_says_how(tmp_path):
         open_recordings(folder, only=(3,), without=(3,))
 
 
+@pytest.mark.slow
 def test_the_run_keeps_which_episodes_it_was_given(tmp_path, capsys):
     folder, run = one_bad_episode(tmp_path / "data"), str(tmp_path / "run")
     words = ["--size", "tiny", "--updates", "1"]

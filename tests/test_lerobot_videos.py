@@ -123,7 +123,8 @@ VIDEO_DAMAGES = [
     (
         "v3.0",
         shorten_video(V30_VIDEO, 7),
-        "{0}, episode 1 has 2 frames for 4 steps of joints: copy the data set again or leave that episode out (--without-episodes 1)",
+        "{0}, episode 1 has 2 frames for 4 steps of joints (2 for each, as where the camera took one in 2): "
+        "copy the data set again or leave that episode out (--without-episodes 1)",
     ),
     (
         "v3.0",
