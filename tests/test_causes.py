@@ -121,6 +121,10 @@ def test_tables_of_others_are_read(tmp_path, writer):
     assert_read_right(write_plain(tmp_path / "data", ROWS[writer]))
 
 
+def test_motors_may_be_called_by_their_numbers(tmp_path):
+    assert_read_right(write_plain(tmp_path / "data", as_table(["1", "2"], lambda _, joints: joints.tolist())), ("1", "2"))
+
+
 def test_true_and_false_are_one_and_nothing(tmp_path):
     table = as_table([*NAMES, "grasped"], lambda step, joints: [*joints, step > 10])
     (one, *_) = load(write_plain(tmp_path / "data", table))

@@ -49,7 +49,7 @@ def read_table(path: Path) -> Table:
         raise ValueError(f"{path} is missing: it should hold the joints, one row a picture, under their names")
     head, *rows = _without_row_numbers(*_rows_of(path))
     names = [name.strip() for name in head]
-    if all(_is_number(name) for name in names):
+    if all(_is_number(name) for name in names) and not all(name.isdecimal() for name in names):  # which may be numbers of motors
         raise ValueError(f"{path} begins with numbers ({','.join(head)[:100]}): its first row should hold the names of the joints")
     if len(set(names)) != len(names) or "" in names:
         raise ValueError(f"{path} has the head {','.join(head)}: it should give each joint a name of its own")

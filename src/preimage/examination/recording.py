@@ -19,8 +19,6 @@ DROPPED = 1.5
 """Ticks between two samples from which one must be missing: halfway to two."""
 JITTER = 0.25
 """Ticks by which a sample may come early or late: the arm then has moved by a quarter of a step, about the noise of a good plan."""
-SHORTEST_S = 1e-9
-"""Between two samples: clocks tell no less."""
 RATE = 0.05
 """Share by which the measured rate may differ from the declared one: plans are executed that much too fast or too slow."""
 
@@ -89,7 +87,7 @@ def clock(seen: Sequence[Seen]) -> Iterator[Finding]:
         return
     if abs(tick * rate_hz - 1) > RATE:
         yield Finding(Kind.CLOCK, Severity.WARNING, f"samples come at {1 / tick:.3g} Hz, declared are {rate_hz:g} Hz", "declare what it is")
-    rates = {episode: 1 / max(float(np.median(gaps)), SHORTEST_S) for episode, gaps in ticks.items()}
+    rates = {episode: 1 / float(np.median(gaps)) for episode, gaps in ticks.items() if np.median(gaps) > 0}
     others = {episode: rate for episode, rate in rates.items() if abs(rate * tick - 1) > JITTER}
     if others:
         what = f"samples of {in_episodes(others)} come at {' or '.join(sorted({f'{rate:.3g}' for rate in others.values()})[:2])} Hz, "
