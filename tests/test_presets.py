@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bars import bar
-from preimage.cli import acting, by_preset, learning, main, measuring
+from preimage.cli import acting, by_preset, main, measuring, training
 from preimage.evaluation import demo
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.restarts import Restarts
@@ -222,7 +222,7 @@ def test_training_as_the_paper_is_its_network_and_no_idea(run_folder: Path, data
 
 def test_training_takes_an_idea_after_the_preset(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = ["train", str(data), "--out", str(tmp_path / "run"), "--as", "regression", "--mixup", "0.5"]
-    assert caught(words, monkeypatch, learning, "train") == TrainOptions(mixup=0.5)
+    assert caught(words, monkeypatch, training, "train") == TrainOptions(mixup=0.5)
 
 
 def test_a_preset_that_does_not_exist_is_refused_on_the_command_line(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
