@@ -151,9 +151,11 @@ def test_where_the_data_set_lies_instead_is_told(tmp_path):
 
 
 def test_recordings_of_another_format_are_told_what_to_become(tmp_path):
-    (tmp_path / "episode_0.hdf5").write_bytes(b"")
+    folder = tmp_path / "data"  # beside which there is no other
+    folder.mkdir()
+    (folder / "episode_0.hdf5").write_bytes(b"")
     with pytest.raises(ValueError, match=r"convert its .hdf5 files to a LeRobot data set, or to a folder an episode"):
-        load(tmp_path)
+        load(folder)
 
 
 @pytest.mark.parametrize(("times", "words"), [(3, "as of a video at 3 times the rate, or of 3 cameras"), (0.5, "took one in 2")])
