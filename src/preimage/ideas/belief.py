@@ -1,4 +1,4 @@
-"""What is believed at one step of a way that is planned anew while it is gone, what follows for the robot, and what is imagined of it."""
+"""What is believed at one step of a plan that is replanned while it is executed, what follows for the robot, and what is imagined."""
 
 from dataclasses import dataclass
 

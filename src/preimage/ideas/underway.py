@@ -1,4 +1,4 @@
-"""What a way is charged for while it is gone: what was sensed lately, and the goal at a step still to come."""
+"""What a plan is charged for while it is executed: what was sensed lately, and the goal at a step still to come."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

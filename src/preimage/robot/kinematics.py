@@ -66,7 +66,7 @@ def inverse_kinematics(
     """The joint angles (rad), elbow up, that put the end effector there; NaN where the arm cannot.
 
     Args:
-        position_m: where the end effector shall be, in the frame of the table (m).
+        position_m: where the end effector is to be, in the frame of the table (m).
         pitch_rad: tilt of the hand: 0 points straight down, positive outwards, away from the base (rad).
     """
     yaw, radius, height = _cylindrical(position_m)

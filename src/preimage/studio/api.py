@@ -184,10 +184,10 @@ def add_found(api: APIRouter, studio: Studio) -> None:
 
 
 def add_walks(api: APIRouter, studio: Studio) -> None:
-    """Plans that are gone with eyes open."""
+    """Plans that are executed with eyes open."""
     run, jobs = studio.run, studio.jobs
 
-    @api.post("/jobs/{key}/walk", status_code=202, summary="Let the arm go a plan step by step, planning anew at each; stopped, it is held")
+    @api.post("/jobs/{key}/walk", status_code=202, summary="Let the arm follow a plan, replanning at every step; stopped, it is held")
     def walk(key: str, wanted: Pace) -> dict[str, Any]:
         planned = studio.planned(key)
         walked = Walk(run, planned, jobs, pace=wanted.pace)

@@ -47,7 +47,7 @@ class Wanted(BaseModel):
 
 
 class Pace(BaseModel):
-    """How a plan is to be gone."""
+    """How a plan is to be executed."""
 
     pace: float = Field(default=1.0, ge=0.25, le=MOST_PACE, description="how many times as fast as the robot")
 

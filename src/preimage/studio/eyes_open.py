@@ -1,4 +1,4 @@
-"""A plan that is gone with eyes open, as a job: what is believed at every step, and what whoever looks on does to the arm meanwhile."""
+"""A plan that is executed with eyes open, as a job: what is believed at every step, and what whoever looks on does to the arm meanwhile."""
 
 import time
 from typing import Any
@@ -28,7 +28,7 @@ BELIEVED = ("step", "steps_left", "window_error", "goal_error", "unexplained", "
 
 
 class Walk:
-    """One plan, gone step by step.
+    """One plan, executed step by step.
 
     Args:
         pace: how many times as fast as the robot it goes.

@@ -63,9 +63,7 @@ class Table:
 
     def described(self) -> dict[str, Any]:
         """What the page has to know of it."""
-        asks = (
-            "Click where the circle shall lie that the object belongs in" if self.goal_name == "circle" else "Click where the hand shall go"
-        )
+        asks = "Click where the object should go" if self.goal_name == "circle" else "Click where the hand should go"
         return {
             "task": self.task.name,
             "asks": asks,

@@ -44,7 +44,7 @@ async function showScene() {
   const { studio } = state;
   state.scene = await get(`scene?seed=${state.seed}`);
   await showStart();
-  $("asks").textContent = studio.table ? `${studio.table.asks}: it imagines the way there before anything moves.` : "Give it a picture of how things shall look in the end: it imagines the way there.";
+  $("asks").textContent = studio.table ? `${studio.table.asks}: it imagines the way there before anything moves.` : "Give it a picture of how things should look in the end: it imagines the way there.";
   $("table").disabled = !studio.table;
   $("table").setAttribute("aria-label", studio.table ? "The table: arrow keys move the target, Enter plans to it" : "What the camera sees at the start");
   $("table-help").textContent = studio.table ? "Or drop or paste a picture anywhere. With the keyboard: arrows move the target, Enter takes it." : "Drop or paste a picture anywhere.";

@@ -10,8 +10,8 @@ import { keysMove, mark, placeOf, ring, wayOf } from "./target.js";
 const TOUCHES = { push: "Push the arm", object: "Move the object", goal: "Another goal" };
 const HELP = {
   push: "Press on the picture, and keep pressing: the hand is led there at the end of every step.",
-  object: "Click where the object shall stand.",
-  goal: "Click where it shall go instead.",
+  object: "Click where the object should stand.",
+  goal: "Click where it should go instead.",
 };
 const PACES = [[1, "the robot's"], [0.5, "half of it"], [0.25, "a quarter"]];
 const FRAME_MS = 220; // of what is imagined ahead
