@@ -29,6 +29,7 @@ MADE_OF = {  # an idea -> the ideas that it is made of
     "expected_joints": {"memory"},
     "gauss_newton": {"residuals"},
     "gripper_events": {"residuals"},
+    "held_out_error": {"gauss_newton"},
     "hold_goal": {"residuals"},
     "last_look": {"memory"},
     "memory": {"gripper_events", "image_features", "kriging"},

@@ -20,7 +20,7 @@ from preimage.ideas.replan_config import ReplanConfig
 from preimage.method.config import PlanConfig, TrainConfig
 from preimage.network.config import ModelConfig
 from preimage.network.ranges import validate
-from preimage.storage.run_files import CALIBRATION, MEMORY
+from preimage.storage.run_files import CALIBRATION, HELD_OUT, MEMORY
 
 if TYPE_CHECKING:
     import torch
@@ -410,6 +410,7 @@ def train(
     *,
     config: TrainOptions | None = None,
     folder: Path | str | None = None,
+    held_out: "Sequence[Demonstration]" = (),
     group: "ProcessGroup | None" = None,
     **more: Any,
 ) -> "PDVMRNN":
@@ -417,10 +418,12 @@ def train(
 
     Args:
         config: how the network learns, with the ideas beyond the paper.
+        held_out: episodes whose errors are kept in the run folder at every checkpoint; nothing is learned from them.
         more: as `method.train.train` takes it.
     """
     from preimage.compute.processes import ProcessGroup
     from preimage.method.train import train as train_by_the_paper
+    from preimage.storage.checkpoints import append_to_log
     from preimage.storage.runs import load_model, write_tensors
 
     config, group = config or TrainOptions(), group or ProcessGroup()
@@ -430,10 +433,15 @@ def train(
             write_tensors(Path(folder) / MEMORY, remember(demonstrations, model).tensors())
             (Path(folder) / CALIBRATION).unlink(missing_ok=True)  # it is of the weights before
 
+    def look_at_held_out(model: "PDVMRNN", update: int) -> None:
+        from preimage.ideas.held_out_error import held_out_error
+
+        error = held_out_error(model, held_out, precision=config.precision)
+        append_to_log(Path(folder or ""), {"update": update} | error, name=HELD_OUT)
+
+    more |= {"augmentations": config.augmentations(), "at_checkpoint": look_at_held_out if held_out else None}
     try:
-        model = train_by_the_paper(
-            demonstrations, model_config, config=config, folder=folder, augmentations=config.augmentations(), group=group, **more
-        )
+        model = train_by_the_paper(demonstrations, model_config, config=config, folder=folder, group=group, **more)
     except KeyboardInterrupt:
         if folder is not None:
             keep_memory(load_model(folder))

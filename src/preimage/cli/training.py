@@ -19,6 +19,7 @@ from preimage.data.view import View
 from preimage.network.config import ModelConfig
 from preimage.presets import Preset, TrainOptions, network_config, train
 from preimage.records import number_of
+from preimage.storage.run_files import HELD_OUT
 
 if TYPE_CHECKING:
     from preimage.data.dataset import Opened
@@ -107,9 +108,9 @@ def train_(
         model_config = read_settings(ModelConfig, out, "model")
         config, told = settings_to_go_on_with(out, config)
         lines += told
-    held_out = learned_from.get("held_out", [])
-    recorded = zip(opened.episodes, opened.demonstrations, strict=True)
-    demonstrations = [one for episode, one in recorded if episode not in held_out]
+    recorded = dict(zip(opened.episodes, opened.demonstrations, strict=True))
+    held_out = [recorded.pop(episode) for episode in learned_from.get("held_out", []) if episode in recorded]
+    demonstrations = list(recorded.values())
     group = join_processes(devices=devices, num_nodes=num_nodes, device=device)
     lines.append(describe_precision(config.precision, group.device))
     about = {"size": size, "preset": as_, "num_demonstrations": len(demonstrations), "data": learned_from}
@@ -125,12 +126,13 @@ def train_(
                 print(lines.pop(0))
             follow(done=told.update, text=f"vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}")
 
-        train(demonstrations, model_config, config=config, folder=out, resume=resume, about=about, progress=tell, group=group)
+        kept = {"folder": out, "resume": resume, "about": about, "held_out": held_out}
+        train(demonstrations, model_config, config=config, progress=tell, group=group, **kept)
     if not group.first:
         return
     for line in lines:  # of a run that had all its updates
         print(line)
-    learning_curve(out / "log.jsonl", out / "learning_curve.png")
+    learning_curve(out / "log.jsonl", out / "learning_curve.png", held_out=out / HELD_OUT)
     write_card(out)
     left_out = f", {len(held_out)} held out" if held_out else ""
     print(f"trained on {number_of(len(demonstrations), 'demonstration')}{left_out}; the run is in {out}")

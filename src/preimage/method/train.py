@@ -56,6 +56,7 @@ def train(
     resume: bool = False,
     about: dict[str, Any] | None = None,
     progress: Callable[[Progress], None] | None = None,
+    at_checkpoint: Callable[[PDVMRNN, int], None] | None = None,
     augmentations: Sequence[Augmentation] = (),
     group: ProcessGroup = ProcessGroup(),  # noqa: B008, frozen
 ) -> PDVMRNN:
@@ -67,6 +68,7 @@ def train(
         resume: go on from the folder's last checkpoint, or from the beginning where it has none yet.
         about: more to write into the run's config.json.
         progress: called after every update.
+        at_checkpoint: called after every checkpoint, with the network as it is and the number of the update.
         augmentations: what is made of every batch before it is generated; by the paper nothing.
         group: the processes that train together, of which only the first writes and reports.
 
@@ -104,6 +106,8 @@ def train(
             stop = group.any(interrupted())
             if run and (learner.update % config.checkpoint_every == 0 or learner.update == config.updates or stop):
                 save_checkpoint(run, learner)
+                if at_checkpoint:
+                    at_checkpoint(model, learner.update)
         group.any(stop)  # all wait until the last checkpoint is written
     if stop:
         raise KeyboardInterrupt

@@ -95,22 +95,29 @@ def figure(
     return save(drawing, path)
 
 
-def learning_curve(log_jsonl_path: str | os.PathLike[str], path: str | os.PathLike[str]) -> Path:
+def learning_curve(
+    log_jsonl_path: str | os.PathLike[str], path: str | os.PathLike[str], *, held_out: str | os.PathLike[str] | None = None
+) -> Path:
     """Writes a PNG of the vision error and the joint KL against updates, both on a logarithmic scale.
 
     Args:
         log_jsonl_path: the `log.jsonl` of a run. A last line cut short by a kill is left out; where a resumed run repeats an update,
             the later line counts.
+        held_out: the same of episodes that were held out, one line a checkpoint; drawn where there is such a file.
 
     Raises:
         ValueError: the log holds no update, or a line before the last is no JSON.
     """
     updates, visual, proprioceptive = _read_log(Path(log_jsonl_path))
+    checked, *unseen = _read_log(Path(held_out)) if held_out and Path(held_out).exists() else ([], [], [])
     drawing = sheet(3.6, layout="constrained")
     named = (("vision: squared error", visual, "#1f6fb2"), ("joints: KL divergence", proprioceptive, "#b0562a"))
-    for column, (name, values, colour) in enumerate(named):
+    for column, ((name, values, colour), unseen_values) in enumerate(zip(named, unseen, strict=True)):
         axes = drawing.add_subplot(1, 2, column + 1)
         axes.plot(updates, values, color=colour, linewidth=1.4, marker="." if len(updates) < 40 else None)
+        if checked:
+            axes.plot(checked, unseen_values, color=INK, linewidth=1.2, marker="o", markersize=3.5, label="held-out episodes")
+            axes.legend(frameon=False, fontsize=9)
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))

@@ -21,6 +21,7 @@ from preimage.storage.checksums import is_damaged_zip, saved_by_torch, with_chec
 from preimage.storage.hub import CARD
 from preimage.storage.locks import LOCK, locked
 from preimage.storage.output_folders import LEFT_BY_OTHERS
+from preimage.storage.run_files import HELD_OUT
 from preimage.storage.runs import NETWORK_KEYS, part_of, read_config, read_log, write_config, write_shown, write_weights
 from preimage.storage.validation import WEIGHTS
 
@@ -153,7 +154,8 @@ def begin_or_go_on(
         write_shown(folder, demonstrations)
     else:
         write_weights(folder, learner.model)  # a process killed while it saved may leave those of the checkpoint it did not complete
-    forget_after(folder / LOG, learner.update)
+    for name in (LOG, HELD_OUT):
+        forget_after(folder / name, learner.update)
 
 
 def forget_after(log: Path, update: int) -> None:
@@ -171,17 +173,17 @@ def forget_after(log: Path, update: int) -> None:
         path.write_text("".join(kept), encoding="utf-8")
 
 
-def append_to_log(run: Path, line: Mapping[str, Any]) -> None:
-    """Add a line to the log of a run.
+def append_to_log(run: Path, line: Mapping[str, Any], *, name: str = LOG) -> None:
+    """Add a line to the log of a run, or to another one of its files.
 
     Raises:
         OSError: the disk is full or read-only.
     """
     try:
-        with (run / LOG).open("a", encoding="utf-8") as log:
+        with (run / name).open("a", encoding="utf-8") as log:
             log.write(json.dumps(line) + "\n")
     except OSError as error:
-        raise OSError(f"{run / LOG} could not be written ({error.strerror}); what was saved before is kept") from error
+        raise OSError(f"{run / name} could not be written ({error.strerror}); what was saved before is kept") from error
 
 
 def save_checkpoint(run: Path, learner: Resumable) -> None:

@@ -4,6 +4,7 @@
     model.safetensors    weights and intention table
     resume.pt            weights, optimiser and update number, to continue a training
     log.jsonl            one line an update
+    held_out.jsonl       the errors of held-out episodes, one line a checkpoint, where there are any
     shown.npz            what is kept of the demonstrations: joints and last frames, for the baseline that replays one of them
     calibration.json     what trust in its plans is calibrated by, where it is (`preimage calibrate`)
     README.md            the model card
