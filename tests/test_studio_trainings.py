@@ -135,6 +135,19 @@ def test_what_cannot_be_begun_is_refused_in_a_sentence(training):
     assert training.get("/api/runs").json() == []
 
 
+def test_errors_of_held_out_episodes_are_told_beside_those_of_the_training(training, tmp_path):
+    run = tmp_path / "runs" / "mine"
+    run.mkdir(parents=True)
+    (run / "config.json").write_text("{}")
+    line = {"visual": 2.0, "proprioceptive": 0.5, "seconds": 0.1}
+    for name, updates in (("log.jsonl", (1, 2, 3, 4)), ("held_out.jsonl", (2, 4))):
+        (run / name).write_text("".join(json.dumps({"update": update} | line) + "\n" for update in updates))
+    (told,) = training.get("/api/runs").json()
+    assert (told["update"], told["held_out"]["update"], told["held_out"]["visual"]) == ([1, 2, 3, 4], [2, 4], [2.0, 2.0])
+    (run / "held_out.jsonl").unlink()
+    assert training.get("/api/runs").json()[0]["held_out"]["update"] == []
+
+
 @pytest.mark.slow
 def test_a_training_is_begun_watched_stopped_and_resumed(training, tmp_path):
     def run() -> dict:

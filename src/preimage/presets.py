@@ -8,6 +8,7 @@
 `PlanOptions` and `TrainOptions` name every idea, so that each can be switched on and off alone.
 """
 
+import time
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import asdict, dataclass, replace
@@ -436,8 +437,10 @@ def train(
     def look_at_held_out(model: "PDVMRNN", update: int) -> None:
         from preimage.ideas.held_out_error import held_out_error
 
+        began = time.perf_counter()
         error = held_out_error(model, held_out, precision=config.precision)
-        append_to_log(Path(folder or ""), {"update": update} | error, name=HELD_OUT)
+        line = {"update": update} | error | {"seconds": time.perf_counter() - began}
+        append_to_log(Path(folder or ""), line, name=HELD_OUT)
 
     more |= {"augmentations": config.augmentations(), "at_checkpoint": look_at_held_out if held_out else None}
     try:

@@ -179,15 +179,15 @@ def training_seconds(folder: Path) -> float:
     return round(sum(line["seconds"] for line in read_log(folder)), 1)
 
 
-def read_log(folder: Path) -> list[dict[str, Any]]:
-    """The lines of a run's log, but for a last one that was cut short by a kill.
+def read_log(folder: Path, *, name: str = "log.jsonl") -> list[dict[str, Any]]:
+    """The lines of a run's log, or of that of its held-out episodes, but for a last one that was cut short by a kill.
 
     Raises:
         ValueError: the log is missing, or a line of it is none of a training.
     """
-    path = folder / "log.jsonl"
+    path = folder / name
     if not path.is_file():
-        raise ValueError(f"{folder} has no log.jsonl, of which the model card tells: restore it or train again")
+        raise ValueError(f"{folder} has no {name}, of which the model card tells: restore it or train again")
     texts = path.read_text(encoding="utf-8", errors="replace").splitlines()
     lines: list[dict[str, Any]] = []
     for number, text in enumerate(texts, start=1):

@@ -14,6 +14,8 @@ from preimage.network.coding import to_frames
 from preimage.network.inputs import home
 from preimage.presets import PlanOptions
 from preimage.records import Demonstration
+from preimage.storage.checkpoints import LOG
+from preimage.storage.run_files import HELD_OUT
 from preimage.storage.runs import WEIGHTS, load_model, part_of, read_config, read_log, read_view
 from preimage.studio.pictures import strip, text_of
 from preimage.studio.problems import Refusal
@@ -72,10 +74,7 @@ class Trainings:
         """How far a training is, and its errors so far; Refusal where there is no such run."""
         folder = self._folder(name)
         config = read_config(folder) if is_run(folder) else {}
-        try:
-            lines = read_log(folder)
-        except ValueError:  # it has not begun
-            lines = []
+        lines, unseen = (errors_in(folder, name) for name in (LOG, HELD_OUT))
         wanted = part_of(config, "train").get("updates")
         done = lines[-1]["update"] if lines else 0
         recent = [line["seconds"] for line in lines[-RECENT:]]
@@ -86,7 +85,7 @@ class Trainings:
         about = {"name": name, "updates": wanted, "done": done, "left_s": left_s, "state": state, "words": words}
         about["weights"] = str(weights.stat().st_mtime_ns) if weights.is_file() else None
         about["resumable"] = done < (wanted or 0) and part_of(config, "data").get("name") in self._recordings.descriptions
-        return about | {key: [line[key] for line in shown] for key in ("update", "visual", "proprioceptive")}
+        return about | series(shown) | {"held_out": series(unseen)}
 
     @torch.no_grad()
     def film(self, name: str) -> dict[str, Any]:
@@ -134,3 +133,16 @@ class Trainings:
 
 def is_run(folder: Path) -> bool:
     return (folder / "config.json").is_file()
+
+
+def errors_in(folder: Path, name: str) -> list[dict[str, Any]]:
+    """The lines of one of a run's logs; none where it has not begun."""
+    try:
+        return read_log(folder, name=name)
+    except ValueError:
+        return []
+
+
+def series(lines: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
+    """Both errors, and the updates they are of."""
+    return {key: [line[key] for line in lines] for key in ("update", "visual", "proprioceptive")}

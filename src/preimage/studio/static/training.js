@@ -85,9 +85,11 @@ function update(run) {
   article.querySelector("button.stop").hidden = run.state !== "running";
   article.querySelector("button.resume").hidden = !run.resumable || ["running", "written"].includes(run.state);
   const [vision, joints] = article.querySelectorAll("svg");
-  for (const [svg, values, name] of [[vision, run.visual, "vision"], [joints, run.proprioceptive, "joints"]]) {
-    article.querySelector(`output[data-modality=${name}]`).textContent = values.length ? values.at(-1).toPrecision(3) : "";
-    chart(svg, (width, height) => drawErrors(run.update, values, run.updates, width, height));
+  for (const [svg, key, name] of [[vision, "visual", "vision"], [joints, "proprioceptive", "joints"]]) {
+    const [learned, heldOut] = [run, run.held_out].map((errors) => ({ updates: errors.update, values: errors[key] }));
+    const last = ({ values }) => values.length && values.at(-1).toPrecision(3);
+    article.querySelector(`output[data-modality=${name}]`).textContent = [last(learned), last(heldOut) && `held out ${last(heldOut)}`].filter(Boolean).join(", ");
+    chart(svg, (width, height) => drawErrors(learned, heldOut, run.updates, width, height));
   }
   if (run.weights && films.get(run.name)?.weights !== run.weights) regenerate(run).catch(trouble);
 }
@@ -118,11 +120,12 @@ function play() {
   playing = setTimeout(play, FRAME_MS);
 }
 
-function drawErrors(updates, values, most, width, height) {
-  const shown = values.filter((value) => value > 0);
+function drawErrors(learned, heldOut, most, width, height) {
+  const shown = [...learned.values, ...heldOut.values].filter((value) => value > 0);
   if (!shown.length) return [words("no update yet", 8, height / 2, { class: "quiet" })];
   const [low, high] = [Math.log(Math.min(...shown)), Math.log(Math.max(...shown))];
-  const x = scale(1, most ?? updates.at(-1), 4, width - 4);
+  const x = scale(1, most ?? learned.updates.at(-1), 4, width - 4);
   const y = scale(low, high, height - 6, 6);
-  return [line([[4, height - 2], [width - 4, height - 2]], { class: "axis" }), line(values.map((value, index) => [x(updates[index]), y(Math.log(Math.max(value, 1e-9)))]), { class: "imagined thin" })];
+  const course = ({ updates, values }, kind) => line(values.map((value, index) => [x(updates[index]), y(Math.log(Math.max(value, 1e-9)))]), { class: kind });
+  return [line([[4, height - 2], [width - 4, height - 2]], { class: "axis" }), course(learned, "imagined thin"), course(heldOut, "executed thin")];
 }
