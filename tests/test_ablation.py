@@ -10,7 +10,7 @@ from preimage.evaluation import ablation
 from preimage.evaluation.ablation import Variant, ablate, sign_test, summed_up, variants_of
 from preimage.evaluation.recipes import Cell, cells_of, learning_of, network_of
 from preimage.presets import PlanOptions
-from preimage.report.results import ablation_table
+from preimage.report.results import ablation_table, presets_table
 
 
 def options_of(variant: Variant) -> PlanOptions:
@@ -87,3 +87,11 @@ def test_the_tasks_of_the_table_are_those_asked_for() -> None:
         *(("reach", count) for count in (100, 25)),
         *((task, 100) for task in ("two-points", "move-object", "two-circles")),
     }
+
+
+def test_a_preset_in_an_ablation_counts_among_the_presets() -> None:
+    about = {"kind": "ablation", "task": "reach", "num_demonstrations": 25, "size": "small", "loop": "closed", "training_seeds": [0, 1]}
+    rows = {name: {"success": 3, "goals": 8} for name in ("paper", "full", "full - restarts")}
+    assert "| reach | 25 | closed |  | 3/8 (38 %, 2 training seeds) |  | 3/8 (38 %, 2 training seeds) |" in presets_table(
+        [about | {"rows": rows}]
+    )

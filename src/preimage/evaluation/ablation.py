@@ -30,6 +30,7 @@ from preimage.robot import Arm, record
 from preimage.storage.atomic_write import write_json
 from preimage.storage.provenance import provenance
 from preimage.storage.reading import read_json
+from preimage.storage.runs import find_run, made_from
 
 GRIPPING = "move-object", "two-circles"
 """Tasks with a gripper, in which alone there are gripper events."""
@@ -135,7 +136,8 @@ def about_of(cells: Sequence[Cell], loop: Loop, place: torch.device) -> dict[str
     first = cells[0]
     about = {"kind": "ablation", "task": first.task, "num_demonstrations": first.num_demonstrations, "size": first.size, "loop": loop}
     about |= {"bundled": first.bundled}
-    seeds = {"training_seeds": [] if first.bundled else [cell.seed for cell in cells], "seeds": [TEST_SEED + cell.seed for cell in cells]}
+    trained = [made_from(find_run(first.task))["training_seed"]] if first.bundled else [cell.seed for cell in cells]
+    seeds = {"training_seeds": trained, "seeds": [TEST_SEED + cell.seed for cell in cells]}
     return about | seeds | {"paper": paper_of(first.task, first.num_demonstrations, loop), "provenance": provenance(place), "rows": {}}
 
 

@@ -23,6 +23,9 @@ NETWORKS: dict[str, dict[str, Any]] = {
 }
 """The networks of the tasks with such scenes, where they differ from the size's own. The positions of things to be gripped go to the motors
 as keypoints."""
+TOP_ALONE: dict[str, Any] = {"intention_layers": ("top",), "intention_noise": 0.1}
+PAPER_NETWORKS = {"move-object": TOP_ALONE, "two-circles": TOP_ALONE}
+"""By the paper's method likewise: with the upper levels of both paths the intention remembers where a thing stood, and the grasp is off."""
 FEWER_UNITS: dict[str, dict[str, Any]] = {"move-object": {"motor_units": (384, 256, 16)}}
 """Of a small network, as it was compared (docs/log.md)."""
 FINER: dict[str, Any] = {"vision_channels": (8, 16, 32, 32), "motor_units": (384, 256, 64, 16), "seen_channels": 4, "keypoints": 8}
@@ -136,7 +139,7 @@ def network_of(cell: Cell) -> ModelConfig:
     """The cell's network, with the capacity of its intention."""
     network = network_config(cell.size, cell.preset)
     if cell.preset == "paper":
-        return network
+        return replace(network, **PAPER_NETWORKS.get(cell.task, {}))
     network = replace(network, **NETWORKS.get(cell.task, {}))
     if cell.without == "keypoints":
         network = replace(network, keypoints=0)

@@ -26,7 +26,7 @@ def write_results(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     figures = path.parent / "figures"
     parts = [
         HEAD,
-        presets_table(evaluations),
+        presets_table(found),
         ablation_table(found),
         reach_table(evaluations),
         tasks_table(evaluations),
@@ -51,7 +51,7 @@ def fill_readme(folder: str | os.PathLike[str], readme: str | os.PathLike[str]) 
     text = path.read_text() if path.exists() else ""
     if BEGIN not in text or END not in text:
         return
-    _, _, rows = presets_table(evaluations_among(read_results(folder))).partition("\n\n")
+    _, _, rows = presets_table(read_results(folder)).partition("\n\n")
     before, after = text.split(BEGIN)[0], text.split(END)[1]
     with atomic_write(path) as unfinished:
         unfinished.write_text(f"{before}{BEGIN}\n{rows}\n{END}{after}")
@@ -75,13 +75,23 @@ of `preimage train`."""
 PRESETS = ("paper", "regression", "full")
 
 
-def presets_table(evaluations: Results) -> str:
+def counts_by_preset(found: Results) -> Results:
+    """Evaluations, and of ablations the rows that are a preset as it is."""
+    counts = list(evaluations_among(found))
+    for one in found:
+        for preset in PRESETS if one.get("kind") == "ablation" else ():
+            if preset in one["rows"]:
+                counts.append({**one, **one["rows"][preset], "preset": preset})
+    return counts
+
+
+def presets_table(found: Results) -> str:
     """What the paper reports, beside its method alone, network and search without memory, and all ideas: all seeds together."""
     kinds = [("reach", 100, "closed"), ("reach", 50, "closed"), ("reach", 25, "closed"), ("two-points", 100, "closed")]
     kinds += [("move-object", 100, "closed"), ("move-object", 100, "open")]
-    rows = []
+    rows, counts = [], counts_by_preset(found)
     for task, count, loop in kinds:
-        alike = of(evaluations, task=task, num_demonstrations=count, loop=loop, size="small")
+        alike = of(counts, task=task, num_demonstrations=count, loop=loop, size="small")
         alike = [one for one in alike if one.get("pixels", 64) == 64]
         cells = [pooled([one for one in alike if one["preset"] == preset]) for preset in PRESETS]
         if any(cells):
@@ -110,7 +120,7 @@ def pooled(evaluations: Results) -> str:
     if not evaluations:
         return ""
     reached, goals = (sum(one[name] for one in evaluations) for name in ("success", "goals"))
-    seeds = len({one.get("training_seed") for one in evaluations})
+    seeds = len({seed for one in evaluations for seed in one.get("training_seeds", [one.get("training_seed")])})
     return f"{reached}/{goals} ({percent(reached / goals)}, {seeds} training seed{'' if seeds == 1 else 's'})"
 
 
