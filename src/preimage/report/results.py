@@ -280,7 +280,10 @@ def speed_table(found: Results) -> str:
     """What `preimage bench` measured."""
     rows = []
     for one in found:
-        device = f"cpu, threads: {one.get('threads')}" if one.get("device") == "cpu" else one.get("device", "")
+        device = one.get("device", "")
+        if device == "cpu":
+            instructions = f"{one['instruction_set']}, " if one.get("instruction_set") else ""
+            device = f"cpu, {instructions}threads: {one.get('threads')}"
         for name, work in one.get("train", {}).items() if "limit_gflops" in one else ():
             share = f"{work['fraction_of_limit']:.0%}"
             memory = f"{work['peak_memory_mb']:.0f} MB" if "peak_memory_mb" in work else ""
