@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from preimage.evaluation.ablation import GRIPPING
 from preimage.evaluation.experiments import goals_of, principal_plane, rank_correlation, reproduce
-from preimage.evaluation.recipes import Cell, cells_of, learning_of, network_of
+from preimage.evaluation.recipes import GRIPPING, Cell, cells_of, learning_of, network_of
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import SIZES, Preset, TrainOptions

@@ -82,8 +82,6 @@ def evaluate_(
     validate_output_file(out, **EVALUATION)
     if disturb is not None:
         validate_disturbance(disturb, task, loop)
-        if disturb == "all" and devices > 1:
-            raise ValueError(f"--disturb all is one process's work: give --devices 1, not {devices}")
     if data is None and films is not None:
         raise ValueError("--films shows recorded beside imagined, and there is no recording: give --data too")
     if data is not None:
@@ -92,6 +90,8 @@ def evaluate_(
     if impossible:
         return evaluate_trust(run, out, task, goals, seed, device, config)
     group = join_processes(devices=devices, num_nodes=1, device=device)
+    if disturb == "all" and group.size > 1:
+        raise ValueError(f"--disturb all is one process's work: give --devices 1, not {devices}")
     folder = find_run(run)
     shown = read_shown(folder)
     planner, about = load_to_evaluate(folder, config, group)

@@ -19,9 +19,10 @@ from preimage.data.view import View
 from preimage.network.config import ModelConfig
 from preimage.presets import Preset, TrainOptions, network_config, train
 from preimage.records import number_of
-from preimage.storage.run_files import HELD_OUT
+from preimage.storage.run_files import HELD_OUT, LOG
 
 if TYPE_CHECKING:
+    from preimage.compute.processes import ProcessGroup
     from preimage.data.dataset import Opened
     from preimage.method.train import Progress
     from preimage.records import Demonstration
@@ -116,26 +117,41 @@ def train_(
     about = {"size": size, "preset": as_, "num_demonstrations": len(demonstrations), "data": learned_from}
     about |= {"view": asdict(opened.view), "body": asdict(opened.body)}
     about |= {"task": task_of(demonstrations) or opened.task, "provenance": provenance(group.device)}
+    kept = {"folder": out, "resume": resume, "about": about, "held_out": held_out}
+    follow_training(demonstrations, model_config, lines, config=config, group=group, tensorboard=tensorboard, **kept)
+    if not group.first:
+        return
+    learning_curve(out / LOG, out / "learning_curve.png", held_out=out / HELD_OUT)
+    write_card(out)
+    left_out = f", {len(held_out)} held out" if held_out else ""
+    print(f"trained on {number_of(len(demonstrations), 'demonstration')}{left_out}; the run is in {out}")
+
+
+def follow_training(
+    demonstrations: "list[Demonstration]",
+    model_config: ModelConfig,
+    lines: list[str],
+    *,
+    config: TrainOptions,
+    group: "ProcessGroup",
+    folder: Path,
+    tensorboard: bool,
+    **kept: Any,
+) -> None:
+    """Train, and show how far it is; the lines that there are to say first are printed once nothing is refused any more."""
     with following("training", total=config.updates, shown=group.first) as follow:
-        shown = scalars_to(out) if tensorboard else None
+        shown = scalars_to(folder) if tensorboard else None
 
         def tell(told: "Progress") -> None:
             if shown:
                 shown(told)
-            while lines:  # now that nothing is refused any more, and what is printed is not beside the point
+            while lines:  # what is printed before an update is beside the point where that is refused
                 print(lines.pop(0))
             follow(done=told.update, text=f"vision {told.visual:8.2f}  joints {told.proprioceptive:.4f}")
 
-        kept = {"folder": out, "resume": resume, "about": about, "held_out": held_out}
-        train(demonstrations, model_config, config=config, progress=tell, group=group, **kept)
-    if not group.first:
-        return
-    for line in lines:  # of a run that had all its updates
+        train(demonstrations, model_config, config=config, progress=tell, group=group, folder=folder, **kept)
+    for line in lines if group.first else ():  # of a run that had all its updates
         print(line)
-    learning_curve(out / "log.jsonl", out / "learning_curve.png", held_out=out / HELD_OUT)
-    write_card(out)
-    left_out = f", {len(held_out)} held out" if held_out else ""
-    print(f"trained on {number_of(len(demonstrations), 'demonstration')}{left_out}; the run is in {out}")
 
 
 def open_to_learn_from(data: Path, view: View, **which: Any) -> "Opened":

@@ -284,8 +284,8 @@ def _refuse_what_is_asked(demonstrations: Sequence[Demonstration], folder: Path)
     """Raises ValueError where only the user knows whether a column is to be learned; of a data set that was written here all are."""
     if written_here(folder):
         return
-    for question in questions_about(demonstrations[0].joint_names, [each.joints for each in demonstrations]):
-        raise ValueError(f"{folder}: {question}")
+    if questions := questions_about(demonstrations[0].joint_names, [each.joints for each in demonstrations]):
+        raise ValueError(f"{folder}: {questions[0]}")
 
 
 def _chosen_joints(demonstrations: Sequence[Demonstration], folder: Path) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from preimage.compute.devices import CPU
 from preimage.evaluation.evaluate import carry_out, goal_of, share
 from preimage.evaluation.experiments import TELL, demonstrations_of, planner_of
 from preimage.evaluation.loops import Loop
-from preimage.evaluation.recipes import TEST_GOALS, TEST_SEED, TRAINING_IDEAS, Cell, paper_of
+from preimage.evaluation.recipes import GRIPPING, TEST_GOALS, TEST_SEED, TRAINING_IDEAS, Cell, paper_of
 from preimage.method.train import Progress
 from preimage.presets import Planner, PlanOptions, Preset, load_planner
 from preimage.records import Demonstration
@@ -32,8 +32,6 @@ from preimage.storage.provenance import provenance
 from preimage.storage.reading import read_json
 from preimage.storage.runs import find_run, made_from
 
-GRIPPING = "move-object", "two-circles"
-"""Tasks with a gripper, in which alone there are gripper events."""
 PAPER, REGRESSION, FULL = PlanOptions.paper(), PlanOptions.regression(), PlanOptions.full()
 SEARCH = "search", "iterations", "learning_rate", "screening", "finalists"
 """The options that make a search the paper's."""

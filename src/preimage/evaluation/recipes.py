@@ -23,8 +23,9 @@ NETWORKS: dict[str, dict[str, Any]] = {
 }
 """The networks of the tasks with such scenes, where they differ from the size's own. The positions of things to be gripped go to the motors
 as keypoints."""
-TOP_ALONE: dict[str, Any] = {"intention_layers": ("top",), "intention_noise": 0.1}
-PAPER_NETWORKS = {"move-object": TOP_ALONE, "two-circles": TOP_ALONE}
+GRIPPING = "move-object", "two-circles"
+"""Tasks with a gripper, in which alone there are gripper events."""
+PAPER_NETWORKS: dict[str, dict[str, Any]] = {task: {"intention_layers": ("top",), "intention_noise": 0.1} for task in GRIPPING}
 """By the paper's method likewise: with the upper levels of both paths the intention remembers where a thing stood, and the grasp is off."""
 FEWER_UNITS: dict[str, dict[str, Any]] = {"move-object": {"motor_units": (384, 256, 16)}}
 """Of a small network, as it was compared (docs/log.md)."""

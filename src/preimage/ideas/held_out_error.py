@@ -7,14 +7,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from preimage.compute.precision import Precision
-from preimage.data.sequences import at_rate
 from preimage.ideas.gauss_newton import GaussNewton
 from preimage.method.config import PlanConfig
 from preimage.method.error_regression import adam
-from preimage.method.plan import recognise
+from preimage.method.plan import recognise, sensed_by
 from preimage.method.prediction_error import SequenceError, sequence_error
 from preimage.method.seam import Ideas, Objective, Problem
-from preimage.network.inputs import as_inputs
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Demonstration
 
@@ -52,7 +50,5 @@ def nearest_of_some(problem: Problem, objective: Objective, generator: torch.Gen
 def error_of(model: PDVMRNN, episode: Demonstration, config: PlanConfig, ideas: Ideas) -> SequenceError:
     """Both errors of the episode as it is regenerated."""
     found = recognise(model, episode, config=config, ideas=ideas)
-    sensed = at_rate(episode, model.config.rate_hz)
-    percepts = [as_inputs(model, sensed[step], name=f"step {step}") for step in range(len(sensed))]
-    pixels, codes = (torch.stack(parts)[None] for parts in zip(*percepts, strict=True))
+    pixels, codes = sensed_by(model, episode)
     return sequence_error(found.generated, pixels, codes, pixels.new_ones(pixels.shape[:2]))

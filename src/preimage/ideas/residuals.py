@@ -46,8 +46,10 @@ def residuals_of(error: Error, generated: Generated, arrival: Int[Tensor, " B"])
     if isinstance(error, ToSequence):
         return torch.cat(apart(generated, error.sensed), dim=1) / error.sensed[0].shape[1] ** 0.5
     if isinstance(error, GoalError):
-        seen, felt = apart(at_step(generated, arrival), error.goal)
-        return seen if error.modality == "vision" else felt
+        there = at_step(generated, arrival)
+        if error.modality == "vision":
+            return visual_residuals(there.pixels, error.goal[0]).flatten(1)
+        return proprioceptive_residuals(there.log_codes, error.goal[1]).flatten(1)
     raise TypeError(f"{type(error).__name__} says of no residuals: give it those of ideas.residuals.HasResiduals")
 
 

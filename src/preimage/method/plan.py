@@ -21,7 +21,7 @@ from preimage.method.seam import Draft, ErrorTerm, Ideas, Objective, Problem, Re
 from preimage.network.coding import to_frames
 from preimage.network.inputs import as_inputs, home
 from preimage.network.intention import IntentionState
-from preimage.network.pdvmrnn import PDVMRNN, Generated
+from preimage.network.pdvmrnn import PDVMRNN, Generated, InputSequence
 from preimage.records import Demonstration, Percept, Plan, Stopped
 
 
@@ -128,17 +128,23 @@ def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfi
     Raises:
         ValueError: frames or joints do not fit the model.
     """
-    sensed = at_rate(demonstration, model.config.rate_hz)
-    percepts = [as_inputs(model, sensed[step], name=f"step {step}") for step in range(len(sensed))]
-    pixels, codes = (torch.stack(parts)[None] for parts in zip(*percepts, strict=True))
-    config = replace(config or PlanConfig(), horizon=len(sensed))
-    problem = Problem(model, percepts[0], percepts[-1], config)
+    pixels, codes = sensed_by(model, demonstration)
+    config = replace(config or PlanConfig(), horizon=pixels.shape[1])
+    problem = Problem(model, (pixels[0, 0], codes[0, 0]), (pixels[0, -1], codes[0, -1]), config)
     objective = ToSequence((pixels, codes))
     found = regress(problem, objective, ideas or Ideas())
     with torch.no_grad():
         generated = found.best_generated or problem.imagine(found.best)
         error, _ = objective.errors(generated)
     return Recognition(found.best, generated, float(error), found.errors.double().cpu().numpy(), found.stopped)
+
+
+def sensed_by(model: PDVMRNN, demonstration: Demonstration) -> InputSequence:
+    """A sensed sequence at the model's rate, as a batch of one; ValueError where frames or joints do not fit the model."""
+    sensed = at_rate(demonstration, model.config.rate_hz)
+    percepts = [as_inputs(model, sensed[step], name=f"step {step}") for step in range(len(sensed))]
+    pixels, codes = (torch.stack(parts)[None] for parts in zip(*percepts, strict=True))
+    return pixels, codes
 
 
 def problem_of(model: PDVMRNN, start: Percept, goal: Percept, config: PlanConfig) -> Problem:

@@ -1,5 +1,7 @@
 """Names of what may lie beside a run's weights; without torch, so that the command line can name them at once."""
 
+LOG = "log.jsonl"
+"""Errors of the training, one line an update."""
 MEMORY = "memory.safetensors"
 """Of the demonstrations; a run that was trained by the paper alone has none."""
 HELD_OUT = "held_out.jsonl"

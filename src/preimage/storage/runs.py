@@ -34,6 +34,7 @@ from preimage.storage.atomic_write import atomic_write, write_json
 from preimage.storage.bundled import BUNDLED
 from preimage.storage.checksums import is_damaged_safetensors, safetensors_with_checksum
 from preimage.storage.reading import read_arrays, read_json, record_of
+from preimage.storage.run_files import LOG
 from preimage.storage.validation import WEIGHTS, tensors_unlike, validate_sensors, validate_size, what_else_it_is
 
 Record = TypeVar("Record")
@@ -165,7 +166,7 @@ def made_from(folder: Path) -> dict[str, Any]:
     config = read_config(folder)
     made = {name: config.get(name) for name in ("size", "num_demonstrations")}
     made |= {"training_seed": part_of(config, "train").get("seed"), "trained_on": part_of(config, "provenance").get("machine")}
-    return made | ({"training_seconds": training_seconds(folder)} if (folder / "log.jsonl").is_file() else {})
+    return made | ({"training_seconds": training_seconds(folder)} if (folder / LOG).is_file() else {})
 
 
 def part_of(config: Mapping[str, Any], key: str) -> Mapping[str, Any]:
@@ -179,7 +180,7 @@ def training_seconds(folder: Path) -> float:
     return round(sum(line["seconds"] for line in read_log(folder)), 1)
 
 
-def read_log(folder: Path, *, name: str = "log.jsonl") -> list[dict[str, Any]]:
+def read_log(folder: Path, *, name: str = LOG) -> list[dict[str, Any]]:
     """The lines of a run's log, or of that of its held-out episodes, but for a last one that was cut short by a kill.
 
     Raises:

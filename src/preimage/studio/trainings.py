@@ -14,8 +14,7 @@ from preimage.network.coding import to_frames
 from preimage.network.inputs import home
 from preimage.presets import PlanOptions
 from preimage.records import Demonstration
-from preimage.storage.checkpoints import LOG
-from preimage.storage.run_files import HELD_OUT
+from preimage.storage.run_files import HELD_OUT, LOG
 from preimage.storage.runs import WEIGHTS, load_model, part_of, read_config, read_log, read_view
 from preimage.studio.pictures import strip, text_of
 from preimage.studio.problems import Refusal
