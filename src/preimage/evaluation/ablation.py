@@ -68,19 +68,19 @@ class Variant:
 
 
 def variants_of(cell: Cell) -> list[Variant]:
-    """The rows of a task's table; of a bundled model those that need no training of their own."""
+    """The rows of a task's table, those that are soon made first; of a bundled model those that need no training of their own."""
     ideas = {name: fields for name, fields in SWITCHES.items() if name != "gripper events" or cell.task in GRIPPING}
-    variants = [Variant("regression")] if cell.bundled else [Variant("paper"), Variant("regression")]
     both = {"- Gauss-Newton": options_of(PAPER, SEARCH), "- hold at the goal": {"hold_goal": False}}
-    variants += [Variant("regression", idea, options) for idea, options in both.items()]
-    variants += [Variant("regression", f"+ {idea}", options_of(FULL, fields)) for idea, fields in ideas.items()]
-    variants += [Variant("full")]
-    variants += [Variant("full", idea, options) for idea, options in both.items()]
+    variants = [Variant("full")]
     variants += [Variant("full", f"- {idea}", options_of(REGRESSION, fields)) for idea, fields in ideas.items()]
+    variants += [Variant("full", idea, options) for idea, options in both.items()]
+    variants += [Variant("regression")]
+    variants += [Variant("regression", f"+ {idea}", options_of(FULL, fields)) for idea, fields in ideas.items()]
+    variants += [Variant("regression", idea, options) for idea, options in both.items()]
     if cell.bundled:
         return variants
     made_for = [idea for idea, tasks in TRAINING_IDEAS.items() if (cell.task, cell.num_demonstrations) in tasks]
-    return [*variants, *(Variant("full", f"- {idea}", without=idea) for idea in made_for)]
+    return [*variants, Variant("paper"), *(Variant("full", f"- {idea}", without=idea) for idea in made_for)]
 
 
 def options_of(options: PlanOptions, fields: Sequence[str]) -> dict[str, Any]:
