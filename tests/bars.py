@@ -8,7 +8,6 @@ import torch
 
 from preimage.ideas.hold_goal import Held
 from preimage.method.config import PlanConfig, TrainConfig
-from preimage.method.plan import problem_of
 from preimage.method.prediction_error import ToGoal, goal_terms
 from preimage.method.seam import Problem
 from preimage.method.train import train
@@ -53,7 +52,7 @@ def tiny_double(network: ModelConfig | None = None) -> PDVMRNN:
 def problem_to(model: PDVMRNN, shown: Demonstration, *, start: Percept | None = None, **changes: Any) -> Problem:
     """From the first percept of a demonstration to its last, in the precision of the weights."""
     config = replace(EXACT, precision=str(model.pixel_bias.dtype).removeprefix("torch."), **changes)
-    return problem_of(model, start or shown.first, shown.last, config)
+    return Problem.between(model, start or shown.first, shown.last, config)
 
 
 def objective_of(problem: Problem, *, held: bool = False) -> ToGoal:

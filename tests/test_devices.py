@@ -9,7 +9,7 @@ from changes import apart, learning_nothing
 from preimage.compute.devices import CPU, torch_device
 from preimage.compute.processes import ProcessGroup
 from preimage.method.config import PlanConfig
-from preimage.method.plan import problem_of
+from preimage.method.seam import Problem
 from preimage.method.train import train
 from preimage.network.config import ModelConfig
 from preimage.network.inputs import home
@@ -42,7 +42,7 @@ def test_a_gpu_learns_what_a_cpu_learns():
 
 
 def rollouts(model: PDVMRNN) -> Generated:
-    return problem_of(model, home(model), home(model), PlanConfig(precision="float32")).rollouts
+    return Problem.between(model, home(model), home(model), PlanConfig(precision="float32")).rollouts
 
 
 @needs_gpu

@@ -14,7 +14,8 @@ import torch
 from preimage.compute.processes import ProcessGroup, ProcessLost, join_processes
 from preimage.data.sequences import sensors_of
 from preimage.evaluation.evaluate import evaluate
-from preimage.method.train import Progress, train
+from preimage.method.learner import Progress
+from preimage.method.train import train
 from preimage.network.config import ModelConfig
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import Planner, PlanOptions

@@ -17,9 +17,9 @@ from preimage.ideas.mixup import Mixup
 from preimage.method.batches import batch_of, plain_batch
 from preimage.method.config import TrainConfig
 from preimage.method.initialisation import spread_intentions, start_from_demonstrations
-from preimage.method.learner import Learner, NonFinite, optimiser_of, share_of_rate, validate_finite
+from preimage.method.learner import Learner, NonFinite, Progress, optimiser_of, share_of_rate, validate_finite
 from preimage.method.seam import Augmentation, Batch
-from preimage.method.train import Progress, train
+from preimage.method.train import train
 from preimage.network.config import ModelConfig
 from preimage.network.intention import FreeTable, LatentTable
 from preimage.network.pdvmrnn import PDVMRNN

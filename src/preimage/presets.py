@@ -34,9 +34,8 @@ if TYPE_CHECKING:
     from preimage.ideas.test_time_augmentation import TestTimeAugmentation
     from preimage.ideas.trust import Assessment
     from preimage.ideas.watched import See
-    from preimage.method.one_step import Policy
     from preimage.method.plan import Recognition
-    from preimage.method.seam import Augmentation, Ideas, PlanCorrection, TermsOf
+    from preimage.method.seam import Augmentation, Ideas, PlanCorrection, Policy, TermsOf
     from preimage.network.pdvmrnn import PDVMRNN
     from preimage.records import Demonstration, Percept, Plan
 
@@ -298,9 +297,13 @@ class Planner:
         return imagine_without_goal(self.model, start, config=self.options, ideas=ideas)
 
     def follow(self, plan: "Plan") -> "Policy":
-        """One-step prediction under a plan's intention (`method.one_step.follow`)."""
-        from preimage.method.one_step import follow, one_look
+        """One-step prediction under a plan's intention (`method.one_step.follow`); of several legs, of each up to its arrival."""
+        from preimage.ideas.waypoints import follow_in_turn
+        from preimage.method.one_step import follow
+        from preimage.method.seam import one_look
 
+        if plan.legs:
+            return follow_in_turn(self.follow, plan.legs)
         augmentation = self.options.augmentation()
         return follow(self.model, plan, looks=augmentation.looks if augmentation else one_look)
 

@@ -229,7 +229,7 @@ def reproduce_(
     from preimage.evaluation.ablation import ablate
     from preimage.evaluation.experiments import reproduce
     from preimage.evaluation.recipes import cells_of
-    from preimage.method.train import Progress as Told
+    from preimage.method.learner import Progress as Told
     from preimage.storage.bundled import BUNDLED
 
     if bundled and table != "ablation":

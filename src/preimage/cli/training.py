@@ -24,7 +24,7 @@ from preimage.storage.run_files import HELD_OUT, LOG
 if TYPE_CHECKING:
     from preimage.compute.processes import ProcessGroup
     from preimage.data.dataset import Opened
-    from preimage.method.train import Progress
+    from preimage.method.learner import Progress
     from preimage.records import Demonstration
 
 

@@ -23,7 +23,7 @@ from preimage.evaluation.evaluate import carry_out, goal_of, share
 from preimage.evaluation.experiments import TELL, demonstrations_of, planner_of
 from preimage.evaluation.loops import Loop
 from preimage.evaluation.recipes import GRIPPING, TEST_GOALS, TEST_SEED, TRAINING_IDEAS, Cell, paper_of
-from preimage.method.train import Progress
+from preimage.method.learner import Progress
 from preimage.presets import Planner, PlanOptions, Preset, load_planner
 from preimage.records import Demonstration
 from preimage.robot import Arm, record

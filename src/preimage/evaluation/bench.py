@@ -25,9 +25,9 @@ from preimage.compute.processes import ProcessGroup
 from preimage.data.sequences import Sequences
 from preimage.method.batches import error_of, plain_batch
 from preimage.method.config import PlanConfig, TrainConfig
-from preimage.method.learner import Learner, optimiser_of
+from preimage.method.learner import Learner, Progress, optimiser_of
 from preimage.method.plan import plan
-from preimage.method.train import Progress, train
+from preimage.method.train import train
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import Planner, PlanOptions, TrainOptions, load_planner

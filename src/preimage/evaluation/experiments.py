@@ -22,7 +22,7 @@ from preimage.evaluation.behaviour_cloning import clone
 from preimage.evaluation.evaluate import evaluate, result_of
 from preimage.evaluation.loops import Loop
 from preimage.evaluation.recipes import MODALITIES_SEED, RECOGNITION_SEED, TEST_GOALS, TEST_SEED, Cell, learning_of, network_of, paper_of
-from preimage.method.train import Progress
+from preimage.method.learner import Progress
 from preimage.network.config import ModelConfig
 from preimage.presets import Planner, PlanOptions, TrainOptions, load_planner, train
 from preimage.records import Demonstration, number_of

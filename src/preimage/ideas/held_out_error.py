@@ -7,12 +7,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from preimage.compute.precision import Precision
+from preimage.data.sequences import at_rate
 from preimage.ideas.gauss_newton import GaussNewton
 from preimage.method.config import PlanConfig
 from preimage.method.error_regression import adam
-from preimage.method.plan import recognise, sensed_by
+from preimage.method.plan import recognise
 from preimage.method.prediction_error import SequenceError, sequence_error
 from preimage.method.seam import Ideas, Objective, Problem
+from preimage.network.inputs import as_input_sequence
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Demonstration
 
@@ -50,5 +52,5 @@ def nearest_of_some(problem: Problem, objective: Objective, generator: torch.Gen
 def error_of(model: PDVMRNN, episode: Demonstration, config: PlanConfig, ideas: Ideas) -> SequenceError:
     """Both errors of the episode as it is regenerated."""
     found = recognise(model, episode, config=config, ideas=ideas)
-    pixels, codes = sensed_by(model, episode)
+    pixels, codes = as_input_sequence(model, at_rate(episode, model.config.rate_hz))
     return sequence_error(found.generated, pixels, codes, pixels.new_ones(pixels.shape[:2]))

@@ -28,7 +28,7 @@ from preimage.ideas.replan_config import ReplanConfig
 from preimage.ideas.timed_search import ByGaussNewton, Clock, Improve, Solution, by_adam
 from preimage.ideas.underway import Sensed, Underway, Window
 from preimage.method.config import PlanConfig
-from preimage.method.plan import draft_of, objective_of, problem_of
+from preimage.method.plan import draft_of, objective_of
 from preimage.method.prediction_error import ToGoal
 from preimage.method.seam import Ideas, Problem
 from preimage.network.inputs import as_inputs
@@ -138,7 +138,7 @@ class Replanner:
         with torch.enable_grad():  # which the search by Adam needs
             plan = self._found or self._plan(start=start, goal=goal)
         self._found, self._held = None, self._refuse(plan)
-        self._set_up(problem_of(self._model, start, goal, replace(self._config, horizon=len(plan))))
+        self._set_up(Problem.between(self._model, start, goal, replace(self._config, horizon=len(plan))))
         points = self._problem.space.coordinates_of(torch.from_numpy(plan.intention)[None])
         self._problem.imagine(self._problem.space.intention(points), 1)  # the first time takes longer, and is not to be measured
         self._solution = Solution(points, self._clock.imagine(self._problem, points))
@@ -178,7 +178,7 @@ class Replanner:
     def _turn(self, goal: Percept) -> None:
         """To another goal from under way: the way there, from the same start, is entered where it passes nearest to the robot."""
         problem = self._problem
-        other = problem_of(self._model, Percept(self._last_frame, self._joints), goal, problem.config)
+        other = Problem.between(self._model, Percept(self._last_frame, self._joints), goal, problem.config)
         self._set_up(replace(other, start=problem.start))
         guesses = [self._solution.points]
         if self._ideas.initial_guess is not None:

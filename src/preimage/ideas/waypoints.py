@@ -1,10 +1,12 @@
 """Several goals in a row: a plan to each from where the one before arrives, and all of them as one."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from preimage.method.seam import Policy
 from preimage.records import Percept, Plan, Trust
 
 
@@ -32,8 +34,7 @@ def plan_in_turn(plan: Callable[..., Plan], *, start: Percept | None = None, goa
 def join(legs: Sequence[Plan]) -> Plan:
     """Plans that begin where the one before arrives, as one plan to the last goal, which is executed like any other.
 
-    Its error is the sum of theirs, its reason to have stopped that of the leg with the largest error; `method.one_step.follow` takes
-    them one by one.
+    Its error is the sum of theirs, its reason to have stopped that of the leg with the largest error.
     """
     if len(legs) == 1:
         return legs[0]
@@ -58,6 +59,18 @@ def join(legs: Sequence[Plan]) -> Plan:
         trust=least_of([leg.trust for leg in legs]),
         legs=tuple(legs),
     )
+
+
+def follow_in_turn(follow: Callable[[Plan], Policy], legs: Sequence[Plan]) -> Policy:
+    """One-step prediction under each leg's intention for as many steps as it takes to arrive, under the last one's to the end.
+
+    Args:
+        follow: from a plan to a policy, `method.one_step.follow`.
+    """
+    policies = [follow(leg) for leg in legs]
+    arrivals = np.cumsum([leg.arrival_step for leg in legs[:-1]])
+    steps = itertools.count()
+    return lambda percept: policies[np.searchsorted(arrivals, next(steps), side="right")](percept)
 
 
 def least_of(trusts: Sequence[Trust | None]) -> Trust | None:

@@ -1,8 +1,8 @@
-"""What changes while training: the network, its optimiser and the number of updates done; and the course of the rates."""
+"""What changes while training: network, optimiser and the number of updates done; what is told of it, and the course of the rates."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,20 @@ class Learner:
         self.model.load_state_dict(state["model"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.update = state["update"]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What there is to report after each update."""
+
+    update: int
+    updates: int
+    visual: float
+    """Squared error of a frame, summed over pixels, mean of the demonstrations of the batch, weighted sums of several aside."""
+    proprioceptive: float
+    """KL of the joint codes, summed over joints, likewise (nats)."""
+    seconds: float = field(compare=False)
+    """Wall time of the update."""
 
 
 def optimiser_of(model: PDVMRNN, config: TrainConfig) -> torch.optim.Optimizer:

@@ -6,38 +6,33 @@ robot stands where it would stand if nothing had been corrected.
 """
 
 import itertools
-from collections.abc import Callable
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from preimage.method.seam import Looks, Policy, one_look
 from preimage.network.inputs import as_inputs
 from preimage.network.intention import unflatten
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Percept, Plan
-
-Policy = Callable[[Percept], Float[np.ndarray, " J"]]
-"""From what is sensed to the next joints."""
-Looks = Callable[[Float[Tensor, "C H W"]], Float[Tensor, "looks C H W"]]
-
-
-def one_look(pixels: Float[Tensor, "C H W"]) -> Float[Tensor, "looks C H W"]:
-    return pixels[None]
 
 
 @torch.no_grad()
 def follow(model: PDVMRNN, plan: Plan, *, looks: Looks = one_look) -> Policy:
     """A policy that predicts the next joints (rad; gripper: m) from what is sensed, step by step, under the intention of a plan.
 
-    It is asked once a step, first when the robot stands where the plan starts. Of several legs, each is followed up to its arrival.
+    It is asked once a step, first when the robot stands where the plan starts.
 
     Args:
         looks: the frames that are looked at in place of a sensed one; what is predicted is the mean of all.
+
+    Raises:
+        ValueError: the plan is of several legs, or a percept does not fit the model.
     """
     if plan.legs:
-        return follow_legs(model, plan.legs, looks)
+        raise ValueError("the plan has several legs, each with its intention: follow them one by one (Planner.follow does)")
     corrections = np.zeros_like(plan.joints) if plan.imagined_joints is None else plan.joints - plan.imagined_joints
     here_and_next = itertools.chain(itertools.pairwise(corrections), itertools.repeat((corrections[-1], corrections[-1])))
     start = as_inputs(model, plan.start, name="start")
@@ -59,11 +54,3 @@ def follow(model: PDVMRNN, plan: Plan, *, looks: Looks = one_look) -> Policy:
         return predict(*as_inputs(model, Percept(percept.frame, uncorrected), name="percept")) + there
 
     return next_joints
-
-
-def follow_legs(model: PDVMRNN, legs: tuple[Plan, ...], looks: Looks) -> Policy:
-    """Each leg for as many steps as it takes to arrive, the last one to the end."""
-    policies = [follow(model, leg, looks=looks) for leg in legs]
-    arrivals = np.cumsum([leg.arrival_step for leg in legs[:-1]])
-    steps = itertools.count()
-    return lambda percept: policies[np.searchsorted(arrivals, next(steps), side="right")](percept)

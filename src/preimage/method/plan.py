@@ -14,14 +14,13 @@ import torch
 from jaxtyping import Float
 
 from preimage.data.sequences import at_rate
-from preimage.method.config import Modalities, PlanConfig
+from preimage.method.config import PlanConfig
 from preimage.method.error_regression import adam
 from preimage.method.prediction_error import ToGoal, ToSequence, goal_terms
 from preimage.method.seam import Draft, ErrorTerm, Ideas, Objective, Problem, Regression
-from preimage.network.coding import to_frames
-from preimage.network.inputs import as_inputs, home
+from preimage.network.inputs import as_input_sequence, home
 from preimage.network.intention import IntentionState
-from preimage.network.pdvmrnn import PDVMRNN, Generated, InputSequence
+from preimage.network.pdvmrnn import PDVMRNN, Generated
 from preimage.records import Demonstration, Percept, Plan, Stopped
 
 
@@ -57,14 +56,14 @@ def plan(
     """
     began = time.perf_counter()
     config, ideas, start = config or PlanConfig(), ideas or Ideas(), start or home(model)
-    problem = problem_of(model, start, goal, config)
+    problem = Problem.between(model, start, goal, config)
     objective = objective_of(problem, ideas)
     found = regress(problem, objective, ideas)
     draft = (ideas.first_draft or draft_of)(found.best, problem, objective, generated=found.best_generated)
     for correct in ideas.corrections:
         draft = correct(draft, problem, objective)
     errors, seconds = found.errors.double().cpu().numpy(), time.perf_counter() - began
-    return plan_of(draft, problem, start=start, goal=goal, errors=errors, stopped=found.stopped, seconds=seconds)
+    return draft.plan(problem, start=start, goal=goal, errors=errors, stopped=found.stopped, seconds=seconds)
 
 
 def objective_of(problem: Problem, ideas: Ideas) -> ToGoal:
@@ -101,34 +100,13 @@ def draft_of(intention: IntentionState, problem: Problem, objective: Objective, 
     return Draft(generated, joints, int(arrival), error, error / max(objective.to_explain, 1e-9), intention, joints)
 
 
-def plan_of(draft: Draft, problem: Problem, *, start: Percept, goal: Percept, errors: np.ndarray, stopped: Stopped, seconds: float) -> Plan:
-    """A draft as the record that leaves the method."""
-    return Plan(
-        frames=to_frames(draft.generated.pixels[0]).cpu().numpy(),
-        joints=draft.joints.cpu().numpy(),
-        arrival_step=draft.arrival,
-        rate_hz=problem.model.config.rate_hz,
-        joint_names=problem.model.sensors.joint_names,
-        start=start,
-        goal=goal,
-        intention=draft.intention.flatten()[0].double().cpu().numpy(),
-        error=draft.error,
-        unexplained=draft.unexplained,
-        errors=errors,
-        stopped=stopped,
-        seconds=seconds,
-        imagined_joints=draft.imagined.cpu().numpy(),
-        expected_joints=None if draft.expected is None else draft.expected.double().cpu().numpy(),
-    )
-
-
 def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfig | None = None, ideas: Ideas | None = None) -> Recognition:
     """Infer the intention of a whole sensed sequence, so that the model regenerates it in closed loop (section II-C, equation 1).
 
     Raises:
         ValueError: frames or joints do not fit the model.
     """
-    pixels, codes = sensed_by(model, demonstration)
+    pixels, codes = as_input_sequence(model, at_rate(demonstration, model.config.rate_hz))
     config = replace(config or PlanConfig(), horizon=pixels.shape[1])
     problem = Problem(model, (pixels[0, 0], codes[0, 0]), (pixels[0, -1], codes[0, -1]), config)
     objective = ToSequence((pixels, codes))
@@ -137,19 +115,3 @@ def recognise(model: PDVMRNN, demonstration: Demonstration, *, config: PlanConfi
         generated = found.best_generated or problem.imagine(found.best)
         error, _ = objective.errors(generated)
     return Recognition(found.best, generated, float(error), found.errors.double().cpu().numpy(), found.stopped)
-
-
-def sensed_by(model: PDVMRNN, demonstration: Demonstration) -> InputSequence:
-    """A sensed sequence at the model's rate, as a batch of one; ValueError where frames or joints do not fit the model."""
-    sensed = at_rate(demonstration, model.config.rate_hz)
-    percepts = [as_inputs(model, sensed[step], name=f"step {step}") for step in range(len(sensed))]
-    pixels, codes = (torch.stack(parts)[None] for parts in zip(*percepts, strict=True))
-    return pixels, codes
-
-
-def problem_of(model: PDVMRNN, start: Percept, goal: Percept, config: PlanConfig) -> Problem:
-    """From a start to a goal; a modality of the goal that is not used is filled in and never looked at."""
-    used: dict[Modalities, tuple[str, ...]] = {"vision": ("frame",), "joints": ("joints",), "both": ("frame", "joints")}
-    looked_at = replace(home(model), **{name: getattr(goal, name) for name in used[config.modalities]})
-    asked = torch.from_numpy(goal.joints) if config.modalities != "vision" and goal.joints is not None else None
-    return Problem(model, as_inputs(model, start, name="start"), as_inputs(model, looked_at, name="goal"), config, asked)

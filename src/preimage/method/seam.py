@@ -13,18 +13,21 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, Self
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from preimage.compute.precision import resolve_precision
 from preimage.data.sequences import Sequences
-from preimage.method.config import PlanConfig
+from preimage.method.config import Modalities, PlanConfig
+from preimage.network.coding import to_frames
+from preimage.network.inputs import as_inputs, home
 from preimage.network.intention import IntentionSpace, IntentionState
 from preimage.network.pdvmrnn import PDVMRNN, Generated, Sensed
-from preimage.records import Stopped
+from preimage.records import Percept, Plan, Stopped
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +65,18 @@ class Problem:
     config: PlanConfig
     goal_joints: Float[Tensor, " J"] | None = None
     """The joints that are asked for, in their units, where they are."""
+
+    @classmethod
+    def between(cls, model: PDVMRNN, start: Percept, goal: Percept, config: PlanConfig) -> Self:
+        """From a start to a goal; a modality of the goal that is not used is filled in and never looked at.
+
+        Raises:
+            ValueError: a percept does not fit the model.
+        """
+        used: dict[Modalities, tuple[str, ...]] = {"vision": ("frame",), "joints": ("joints",), "both": ("frame", "joints")}
+        looked_at = replace(home(model), **{name: getattr(goal, name) for name in used[config.modalities]})
+        asked = torch.from_numpy(goal.joints) if config.modalities != "vision" and goal.joints is not None else None
+        return cls(model, as_inputs(model, start, name="start"), as_inputs(model, looked_at, name="goal"), config, asked)
 
     @property
     def dtype(self) -> torch.dtype:
@@ -184,6 +199,26 @@ class Draft:
     expected: Float[Tensor, "M J"] | None = None
     """Joints that are known from elsewhere, on the way and, last, at the goal."""
 
+    def plan(self, problem: Problem, *, start: Percept, goal: Percept, errors: np.ndarray, stopped: Stopped, seconds: float) -> Plan:
+        """The record that leaves the method."""
+        return Plan(
+            frames=to_frames(self.generated.pixels[0]).cpu().numpy(),
+            joints=self.joints.cpu().numpy(),
+            arrival_step=self.arrival,
+            rate_hz=problem.model.config.rate_hz,
+            joint_names=problem.model.sensors.joint_names,
+            start=start,
+            goal=goal,
+            intention=self.intention.flatten()[0].double().cpu().numpy(),
+            error=self.error,
+            unexplained=self.unexplained,
+            errors=errors,
+            stopped=stopped,
+            seconds=seconds,
+            imagined_joints=self.imagined.cpu().numpy(),
+            expected_joints=None if self.expected is None else self.expected.double().cpu().numpy(),
+        )
+
 
 class FirstDraft(Protocol):
     """The draft of an intention; what is imagined from it is given where it is known."""
@@ -197,6 +232,17 @@ class PlanCorrection(Protocol):
     """Another draft instead of the one that was found."""
 
     def __call__(self, draft: Draft, problem: Problem, objective: Objective) -> Draft: ...
+
+
+Policy = Callable[[Percept], Float[np.ndarray, " J"]]
+"""From what is sensed to the next joints."""
+Looks = Callable[[Float[Tensor, "C H W"]], Float[Tensor, "looks C H W"]]
+"""The frames that are looked at in place of a sensed one."""
+
+
+def one_look(pixels: Float[Tensor, "C H W"]) -> Float[Tensor, "looks C H W"]:
+    """The sensed frame alone."""
+    return pixels[None]
 
 
 TermsOf = Callable[[Problem, Sequence[ErrorTerm]], Sequence[ErrorTerm]]

@@ -9,7 +9,7 @@ resumed gives the same weights, bit for bit on a CPU, as one that never stopped,
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,27 +24,13 @@ from preimage.data.sequences import Sequences, pad, sensors_of
 from preimage.method.batches import batch_of, error_of, plain_batch
 from preimage.method.config import TrainConfig
 from preimage.method.initialisation import start_from_demonstrations
-from preimage.method.learner import Learner, optimiser_of, share_of_rate, validate_finite
+from preimage.method.learner import Learner, Progress, optimiser_of, share_of_rate, validate_finite
 from preimage.method.prediction_error import SequenceError
 from preimage.method.seam import Augmentation
 from preimage.network.config import ModelConfig
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Demonstration
 from preimage.storage.checkpoints import append_to_log, open_run, save_checkpoint
-
-
-@dataclass(frozen=True)
-class Progress:
-    """What there is to report after each update."""
-
-    update: int
-    updates: int
-    visual: float
-    """Squared error of a frame, summed over pixels, mean of the demonstrations of the batch, weighted sums of several aside."""
-    proprioceptive: float
-    """KL of the joint codes, summed over joints, likewise (nats)."""
-    seconds: float = field(compare=False)
-    """Wall time of the update."""
 
 
 def train(

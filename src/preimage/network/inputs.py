@@ -4,8 +4,8 @@ import numpy as np
 import torch
 
 from preimage.network.coding import to_frames, to_pixels
-from preimage.network.pdvmrnn import PDVMRNN, Sensed
-from preimage.records import Percept, number_of
+from preimage.network.pdvmrnn import PDVMRNN, InputSequence, Sensed
+from preimage.records import Demonstration, Percept, number_of
 
 
 def home(model: PDVMRNN) -> Percept:
@@ -34,3 +34,10 @@ def as_inputs(model: PDVMRNN, percept: Percept, *, name: str) -> Sensed:
     joints = torch.as_tensor(percept.joints, dtype=model.home_joints.dtype, device=model.home_joints.device)
     frame = torch.from_numpy(np.ascontiguousarray(percept.frame)).to(model.home_pixels.device)
     return to_pixels(frame).to(model.home_pixels.dtype), model.coding.encode(joints)
+
+
+def as_input_sequence(model: PDVMRNN, sensed: Demonstration) -> InputSequence:
+    """Pixels (1, T, C, H, W) and codes (1, T, J, K) of a sequence sensed at the model's rate; ValueError where a step does not fit."""
+    percepts = [as_inputs(model, sensed[step], name=f"step {step}") for step in range(len(sensed))]
+    pixels, codes = (torch.stack(parts)[None] for parts in zip(*percepts, strict=True))
+    return pixels, codes

@@ -12,7 +12,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.method.plan import problem_of
 from preimage.method.seam import Problem
 from preimage.network.coding import to_frames
 from preimage.network.inputs import home
@@ -66,7 +65,7 @@ class Intentions:
     def _problem(self) -> Problem:
         planner = self._run.planner("paper")
         start = home(planner.model)
-        return problem_of(planner.model, start, start, planner.options)
+        return Problem.between(planner.model, start, start, planner.options)
 
     def _colours(self, joints: Float[np.ndarray, "N J"]) -> list[dict[str, Any]]:
         """What the points can be coloured by: where they end on the table, or in which joints."""

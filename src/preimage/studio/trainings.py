@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from preimage.data.sequences import at_rate
-from preimage.method.plan import problem_of
+from preimage.method.seam import Problem
 from preimage.network.coding import to_frames
 from preimage.network.inputs import home
 from preimage.presets import PlanOptions
@@ -103,7 +103,7 @@ class Trainings:
         model, shown = load_model(folder), self._first_shown(folder)
         shown = None if shown is None else at_rate(shown, model.config.rate_hz)
         start = home(model) if shown is None else shown.first
-        problem = problem_of(model, start, start, PlanOptions())
+        problem = Problem.between(model, start, start, PlanOptions())
         space = model.intention_table.space(None)
         frames = to_frames(problem.imagine(space.intention(space.training[:1])).pixels[0]).cpu().numpy()
         recorded = None if shown is None else text_of(strip(shown.frames))
