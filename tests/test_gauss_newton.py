@@ -16,6 +16,7 @@ from preimage.ideas.gauss_newton import (
     evaluate,
     jacobian_from,
     measured_jacobian,
+    slopes,
     steps_from,
 )
 from preimage.ideas.memory import DemonstrationMemory
@@ -65,13 +66,33 @@ def test_a_measured_jacobian_agrees_with_finite_differences(trained: PDVMRNN) ->
     objective = objective_of(problem)
     with torch.no_grad():
         here = evaluate(problem.space.training[:2], problem, objective)
-        measured = measured_jacobian(here, None, problem, objective, 0.01)
+        measured = measured_jacobian(here, None, None, problem, objective, 0.01)
         for number, way in enumerate(torch.eye(2)):
             generated = problem.imagine(problem.space.intention(here.points + 0.01 * way))
             by_hand = (residuals_of(objective, generated, here.arrival) - here.residuals) / 0.01
             assert (measured[:, number] - by_hand).norm() < 0.05 * by_hand.norm()
-        again = measured_jacobian(here, 0.5 * measured, problem, objective, 0.01)  # all directions are among the leading ones
+        again = measured_jacobian(here, 0.5 * measured, measured, problem, objective, 0.01)  # all directions are among the leading ones
         assert (again - measured).norm() < 0.05 * measured.norm()
+
+
+def test_a_jacobian_is_measured_in_the_leading_directions_of_what_changes_like_it(trained: PDVMRNN, monkeypatch) -> None:
+    monkeypatch.setattr("preimage.ideas.gauss_newton.LEADING", 1)
+    problem = problem_to(trained, bar(0.5), dimensions=2)
+    objective = objective_of(problem)
+    with torch.no_grad():
+        here = evaluate(problem.space.training[:1], problem, objective)
+        full = measured_jacobian(here, None, None, problem, objective, 0.01)
+        hint = torch.tensor([[[3.0, 0.0], [0.0, 0.1]]])
+        measured = measured_jacobian(here, None, hint, problem, objective, 0.01)
+    assert (measured - full)[:, 0].norm() < 0.05 * full[:, 0].norm()  # measured forwards or backwards
+    assert measured[:, 1].abs().max() == 0
+
+
+def test_slopes_of_what_is_linear_are_its_own() -> None:
+    generator = torch.Generator().manual_seed(0)
+    points, jacobian = torch.randn(30, 3, generator=generator), torch.randn(3, 5, generator=generator)
+    found = slopes(torch.randn(2, 3, generator=generator), points, 7.0 + points @ jacobian)
+    torch.testing.assert_close(found, jacobian.expand(2, -1, -1), atol=0.02, rtol=0.02)
 
 
 def test_a_jacobian_is_estimated_from_what_is_known_around(trained: PDVMRNN) -> None:
@@ -81,7 +102,7 @@ def test_a_jacobian_is_estimated_from_what_is_known_around(trained: PDVMRNN) -> 
     with torch.no_grad():
         here = evaluate(points[:1], problem, objective)
         estimated = jacobian_from(here, points, problem.imagine(problem.space.intention(points)), objective)
-        measured = measured_jacobian(here, None, problem, objective, 0.005)
+        measured = measured_jacobian(here, None, None, problem, objective, 0.005)
     for number in range(2):
         assert (estimated - measured)[0, number].norm() < 0.2 * measured[0, number].norm()
 

@@ -164,10 +164,16 @@ class PlanOptions(PlanConfig):
         """What a calibration of such plans is known by: all but the precision, which follows the machine."""
         return asdict(self) | {"precision": None}
 
-    def gauss_newton(self, tolerance: float = 0.0) -> "GaussNewton":
+    def gauss_newton(self, tolerance: float = 0.0, memory: "DemonstrationMemory | None" = None) -> "GaussNewton":
+        """The search.
+
+        Args:
+            memory: tells it in which directions of the intention sequences end differently.
+        """
         from preimage.ideas.gauss_newton import GaussNewton
 
-        return GaussNewton(self.iterations, self.finite_difference_step, tolerance, self.least_gain, self.drop_above)
+        endings = None if memory is None else lambda problem: memory.about(problem).last_percepts
+        return GaussNewton(self.iterations, self.finite_difference_step, tolerance, self.least_gain, self.drop_above, endings)
 
     def augmentation(self) -> "TestTimeAugmentation | None":
         from preimage.ideas.test_time_augmentation import TestTimeAugmentation
@@ -199,7 +205,7 @@ class PlanOptions(PlanConfig):
             raise ValueError("these plans need a memory of the demonstrations: give one, or plan as paper or regression")
         guess = NearestToGoal(self.candidates) if self.guess == "nearest" else random_guesses
         tolerance = self.tolerance if self.expected_joints and self.modalities == "vision" else 0.0
-        search = adam if self.search == "adam" else self.gauss_newton(tolerance)
+        search = adam if self.search == "adam" else self.gauss_newton(tolerance, memory)
         if see:
             search = Watched(search, see)
         if self.restarts:

@@ -3,11 +3,13 @@
 Damped as by Levenberg and Marquardt. It serves an intention of few numbers, needs no gradient and arrives in a handful of iterations. The
 Jacobian comes cheaply from what is known: at first from a regression on what is imagined already from other intentions, then from what a
 step itself shows (Broyden 1965), so that most iterations imagine three sequences and no more. It is measured, by finite differences,
-only at first and where a step brings too little, and only in the few directions that matter most.
+only at first and where a step brings too little, and only in the few directions that matter most: those of the Jacobian known so far, at
+first those in which the endings of the training sequences differ, where these are known.
 
 Several intentions are regressed side by side, for the error has many valleys; those that fall behind are dropped.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -61,6 +63,8 @@ class GaussNewton:
     """A step that lowers the error by less than this share of it is not worth another with the same Jacobian."""
     drop_above: float = BEHIND
     """A candidate whose error is more than this many times the lowest after an iteration is dropped."""
+    endings: Callable[[Problem], Float[Tensor, "N E"]] | None = None
+    """How the training sequences end, in any numbers that change as they do; without, a first Jacobian is measured in all directions."""
 
     @torch.no_grad()
     def __call__(self, problem: Problem, objective: Objective, guesses: Float[Tensor, "B K"]) -> Regression:
@@ -79,7 +83,8 @@ class GaussNewton:
                 jacobian = jacobian_from(here, space.training, rollouts, objective)
             fresh = stale
             if jacobian is None or stale:
-                jacobian = measured_jacobian(here, jacobian, problem, objective, self.finite_difference_step)
+                hint = slopes(here.points, space.training, self.endings(problem)) if jacobian is None and self.endings else jacobian
+                jacobian = measured_jacobian(here, jacobian, hint, problem, objective, self.finite_difference_step)
             tried = evaluate(steps_from(here, jacobian, cost).flatten(0, 1), problem, objective)
             there = better_of(here, tried)
             jacobian = broyden_update(jacobian, here, there)
@@ -101,39 +106,64 @@ def evaluate(points: Float[Tensor, "B K"], problem: Problem, objective: Objectiv
 
 
 def jacobian_from(here: Iterate, points: Float[Tensor, "N K"], rollouts: Generated, objective: Objective) -> Float[Tensor, "B K R"]:
-    """How the residuals change with each coordinate, estimated from what is imagined from other points.
-
-    A linear regression in which nearer points count more; damped, for there may be hardly more of them than coordinates.
-    """
+    """How the residuals change with each coordinate, estimated from what is imagined from other points."""
 
     def at(row: int) -> Tensor:
-        ways = points - here.points[row]
-        distances = ways.square().sum(1)
-        near = distances.argsort()[:NEIGHBOURS]
-        ways, nearness = ways[near], 1 / (1 + distances[near] / distances[near].median().clamp(min=1e-9))
+        ways, nearness, near = ways_to(points, here.points[row])
         changes = residuals_of(objective, rollouts[near], here.arrival[row].expand(len(near))) - here.residuals[row]
-        weighed = ways.T * nearness
-        curvature = weighed @ ways
-        damping = 1e-3 * curvature.diagonal().mean() + 1e-9
-        return torch.linalg.solve(curvature + damping * torch.eye(len(weighed)).to(weighed), weighed @ changes)
+        return regressed(ways, nearness, changes)
 
     return torch.stack([at(row) for row in range(len(here.points))])
 
 
+def slopes(here: Float[Tensor, "B K"], points: Float[Tensor, "N K"], values: Float[Tensor, "N E"]) -> Float[Tensor, "B K E"]:
+    """How values that are known at points change with each coordinate about others."""
+
+    def at(point: Tensor) -> Tensor:
+        ways, nearness, near = ways_to(points, point)
+        means = (nearness @ part / nearness.sum() for part in (ways, values[near]))
+        return regressed(ways - next(means), nearness, values[near] - next(means))
+
+    return torch.stack([at(point) for point in here])
+
+
+def ways_to(points: Float[Tensor, "N K"], point: Float[Tensor, " K"]) -> tuple[Tensor, Tensor, Tensor]:
+    """The ways to the nearest of some points (M, K), how much each counts in a regression (M), and which they are (M)."""
+    ways = points - point
+    distances = ways.square().sum(1)
+    near = distances.argsort()[:NEIGHBOURS]
+    return ways[near], 1 / (1 + distances[near] / distances[near].median().clamp(min=1e-9)), near
+
+
+def regressed(ways: Float[Tensor, "M K"], nearness: Float[Tensor, " M"], changes: Float[Tensor, "M R"]) -> Float[Tensor, "K R"]:
+    """The linear map from ways to changes; damped, for there may be hardly more of them than coordinates."""
+    weighed = ways.T * nearness
+    curvature = weighed @ ways
+    damping = 1e-3 * curvature.diagonal().mean() + 1e-9
+    return torch.linalg.solve(curvature + damping * torch.eye(len(weighed)).to(weighed), weighed @ changes)
+
+
 def measured_jacobian(
-    here: Iterate, known: Float[Tensor, "B K R"] | None, problem: Problem, objective: Objective, step: float
+    here: Iterate,
+    known: Float[Tensor, "B K R"] | None,
+    hint: Float[Tensor, "B K E"] | None,
+    problem: Problem,
+    objective: Objective,
+    step: float,
 ) -> Float[Tensor, "B K R"]:
     """How the residuals change with each coordinate, the arrival steps held. Nothing later than the last of them need be imagined.
 
-    A Jacobian that is known from points nearby is measured anew in its leading directions alone, those in which the residuals change
-    most; the others hardly matter to a step.
+    Args:
+        known: the Jacobian at points nearby, which is measured anew in the leading directions alone; None: nothing of it is known.
+        hint: what changes with the coordinates much as the residuals do. Its leading directions are those in which it changes most, the
+            others hardly matter to a step; None: all directions.
     """
     count, dimensions = here.points.shape
-    if known is None:
-        known = here.residuals.new_zeros(count, dimensions, here.residuals.shape[1])
+    known = here.residuals.new_zeros(count, dimensions, here.residuals.shape[1]) if known is None else known
+    if hint is None or dimensions <= LEADING:
         directions = torch.eye(dimensions).to(here.points).expand(count, -1, -1)
     else:
-        directions = torch.linalg.eigh(known @ known.mT).eigenvectors.mT[:, -LEADING:]  # (B, D, K)
+        directions = torch.linalg.eigh(hint @ hint.mT).eigenvectors.mT[:, -LEADING:]  # (B, D, K)
     probes = here.points[:, None] + step * directions
     changed = problem.imagine(problem.space.intention(probes.flatten(0, 1)), num_steps(objective, here.arrival))
     residuals = residuals_of(objective, changed, here.arrival.repeat_interleave(probes.shape[1]))

@@ -167,6 +167,12 @@ class Recollection:
     def views(self) -> list[View]:
         return views_of(self.endings, self.problem)
 
+    @property
+    def last_percepts(self) -> Float[Tensor, "N E"]:
+        """How sequences end, coarsely: both modalities in units of their errors."""
+        seen, felt = self.endings.arrivals, self.problem.model.coding.encode(self.endings.final_joints)
+        return torch.cat([VISUAL_WEIGHT**0.5 * seen.flatten(1), felt.flatten(1)], 1)
+
     @cached_property
     def joints_at_goal(self) -> Estimate:
         """The joints in which sequences end that end like the goal."""
