@@ -35,7 +35,7 @@ LONGEST_S, LONGEST_WAIT_S, MOST_BYTES = 30, 120.0, 2 << 30
 VERBS = ["check", "train", "plan", "execute", "evaluate", "report", "record"]
 """All but those that take minutes whatever they are given: demo, reproduce, bench."""
 LABOUR = re.compile(
-    "--(updates|goals?|count|candidates|iterations|restarts|seeds|devices|num-nodes|pixels|batch-size|checkpoint-every|horizon|dimensions"
+    "--(updates|goals?|count|candidates|iterations|seeds|devices|num-nodes|pixels|batch-size|checkpoint-every|horizon|dimensions"
     "|mixup-arity|rest-steps|screening|finalists|demonstrations)"
 )
 """Options by which more work can be asked for: they are given small numbers, for a long work is no fault."""
@@ -146,7 +146,7 @@ def train_case(chance: Random) -> Case:
 
 def plan_case(chance: Random) -> Case:
     goal, inputs = chance.choice([("ours:1", ["ours"]), ("goal.png", ["goal.png"]), ("ours:0:3", ["ours"])])
-    words, inputs = ["plan", "run", "--goal", goal, "--out", "new", "--iterations", "1", "--restarts", "1"], ["run", *inputs]
+    words, inputs = ["plan", "run", "--goal", goal, "--out", "new", "--iterations", "1"], ["run", *inputs]
     if chance.random() < 0.3:
         words, inputs = [*words, "--joint-limits", "limits.json"], [*inputs, "limits.json", "limits.json"]
     if chance.random() < 0.2:
@@ -164,7 +164,7 @@ def execute_case(chance: Random) -> Case:
 
 
 def evaluate_case(chance: Random) -> Case:
-    words = ["evaluate", "run", "--out", "new.json", "--iterations", "1", "--restarts", "1"]
+    words = ["evaluate", "run", "--out", "new.json", "--iterations", "1"]
     if chance.random() < 0.5:
         return Case([*words, "--goals", "1", "--loop", chance.choice(["closed", "open", "recorded"])], ["run"])
     return Case([*words, "--data", "ours", "--episodes", "0", *chance.choice([[], ["--films", "films"]])], ["run", "ours"])

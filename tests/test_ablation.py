@@ -91,7 +91,7 @@ def test_the_tasks_of_the_table_are_those_asked_for() -> None:
 
 def test_a_preset_in_an_ablation_counts_among_the_presets() -> None:
     about = {"kind": "ablation", "task": "reach", "num_demonstrations": 25, "size": "small", "loop": "closed", "training_seeds": [0, 1]}
-    rows = {name: {"success": 3, "goals": 8} for name in ("paper", "full", "full - restarts")}
+    rows = {name: {"success": 3, "goals": 8} for name in ("paper", "full", "full - expected joints")}
     assert "| reach | 25 | closed |  | 3/8 (38 %, 2 training seeds) |  | 3/8 (38 %, 2 training seeds) |" in presets_table(
         [about | {"rows": rows}]
     )

@@ -141,7 +141,7 @@ def test_a_calibration_for_other_options_is_not_taken(trained, memory) -> None:
     from bars import FULL, bar
     from preimage.presets import Planner
 
-    planner = Planner(trained, memory, replace(FULL, iterations=1, restarts=0), replace(CALIBRATED, plan={"iterations": 12}))
+    planner = Planner(trained, memory, replace(FULL, iterations=1), replace(CALIBRATED, plan={"iterations": 12}))
     trust = planner.plan(goal=bar(0.5).last).trust
     assert trust is not None
     assert (trust.probability, trust.refused) == (None, False)

@@ -174,7 +174,7 @@ def test_settings_of_training_out_of_range(refused, data, tmp_path, option, valu
         ("iterations", -1, "0 or more"),
         ("horizon", 0, "1 or more"),
         ("delay-penalty", 0.0, "a number above 0"),
-        ("restarts", -1, "0 or more"),
+        ("tolerance", -1.0, "0 or more"),
         ("finite-difference-step", "nan", "a number above 0"),
     ],
 )

@@ -136,7 +136,7 @@ def test_a_plan_ends_as_much_as_memory_weighs_nearer_to_what_it_expects(trained:
 @pytest.mark.parametrize("modalities", ["joints", "both"])
 def test_a_plan_ends_with_the_joints_that_are_asked_for(trained: PDVMRNN, memory: DemonstrationMemory, modalities: str) -> None:
     shown = bar(0.65)
-    planner = Planner(trained, memory, replace(FULL, modalities=modalities, iterations=3, restarts=0))
+    planner = Planner(trained, memory, replace(FULL, modalities=modalities, iterations=3))
     found = planner.plan(start=shown.first, goal=shown.last)
     assert found.joints[-1] == pytest.approx(shown.joints[-1], abs=1e-6)
     assert found.joints[found.arrival_step] == pytest.approx(shown.joints[-1], abs=1e-6)

@@ -189,7 +189,7 @@ def test_the_recorded_loop_predicts_each_step_from_what_the_tutor_saw(planner, r
 
 
 def test_with_a_memory_there_is_the_arm_that_goes_straight_to_what_it_expects(model, demonstrations) -> None:
-    options = replace(PlanOptions.full(), iterations=0, restarts=0, horizon=4, precision="float32")
+    options = replace(PlanOptions.full(), iterations=0, horizon=4, precision="float32")
     planner = Planner(model, remember(demonstrations, model), options)
     (one,) = evaluate(planner, Arm(), TASKS["reach"], goals=1, seed=3, shown=shown_of(demonstrations))
     straight = straight_through(np.vstack([one.demonstration.joints[:1], one.plan.expected_joints]), len(one.plan), gripper=None)

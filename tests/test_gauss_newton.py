@@ -137,7 +137,7 @@ def test_a_plan_reaches_a_goal_between_the_demonstrations(trained: PDVMRNN) -> N
 
 
 def test_a_search_ends_where_the_error_is_small_enough(trained: PDVMRNN, memory: DemonstrationMemory) -> None:
-    shown, once = bar(0.8), replace(FULL, restarts=0)
+    shown, once = bar(0.8), FULL
     whole = Planner(trained, memory, once).plan(start=shown.first, goal=shown.last)
     to_explain = whole.error / whole.unexplained
     half = (whole.errors.min() + whole.errors[0]) / 2

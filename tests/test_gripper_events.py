@@ -130,7 +130,7 @@ def test_demonstrations_without_events_leave_the_error_as_it_is(trained: PDVMRNN
 def test_the_error_that_is_reported_is_the_one_that_was_searched(model: PDVMRNN, gripped: DemonstrationMemory) -> None:
     """Once the arrival was put after the last event when the search was over, and the error was that of another step."""
     wanted = gripping(0.65)
-    options = replace(FULL, iterations=2, end_correction=False, restarts=0)
+    options = replace(FULL, iterations=2, end_correction=False)
     planner = Planner(model, gripped, options)
     found = planner.plan(start=wanted.first, goal=Percept(wanted.last.frame))
     problem = problem_to(model, wanted)

@@ -13,7 +13,6 @@ from bars import bar
 from preimage.cli import acting, by_preset, main, measuring, training
 from preimage.evaluation import demo
 from preimage.ideas.memory import DemonstrationMemory
-from preimage.ideas.restarts import Restarts
 from preimage.method.config import PlanConfig, TrainConfig
 from preimage.method.error_regression import adam
 from preimage.method.plan import draft_of, random_guesses
@@ -57,7 +56,6 @@ SWITCHES: dict[str, Any] = {
     "guess": "nearest",
     "hold_goal": True,
     "expected_joints": True,
-    "restarts": 2,
     "test_time_augmentation": 0.03,
     "end_correction": True,
     "gripper_events": True,
@@ -76,12 +74,6 @@ def test_each_idea_is_switched_by_itself(idea: str, memory: DemonstrationMemory)
     paper, alone = parts(PlanOptions(), memory), parts(PlanOptions(**{idea: SWITCHES[idea]}), memory)
     assert alone != paper
     assert len(set(paper) - set(alone)) <= 1, "it replaces a part, or adds some"
-
-
-def test_a_search_with_restarts_is_the_same_search_inside(memory: DemonstrationMemory) -> None:
-    search = PlanOptions(restarts=3).ideas(memory).search
-    assert isinstance(search, Restarts)
-    assert search.search is adam
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -114,7 +106,7 @@ def test_a_memory_of_another_version_is_refused(run_folder: Path, tmp_path: Path
 
 
 def test_a_planner_plans_in_turn_and_imagines_without_a_goal(trained: PDVMRNN, memory: DemonstrationMemory) -> None:
-    planner = Planner(trained, memory, replace(PlanOptions.full(), precision="float32", iterations=0, restarts=0))
+    planner = Planner(trained, memory, replace(PlanOptions.full(), precision="float32", iterations=0))
     assert len(planner.plan_in_turn(goals=[bar(0.4).last, bar(0.8).last])) == 2
     assert planner.imagine_without_goal(bar(0.4).first).goal.frame is None
 
@@ -143,7 +135,7 @@ def test_a_planner_plans_in_turn_and_imagines_without_a_goal(trained: PDVMRNN, m
         (PlanConfig, {"dimensions": 0}, r"dimensions \(--dimensions\) is 0: give 1(\.0)? or more"),
         (PlanConfig, {"modalities": "touch"}, "modalities is touch: give vision, joints or both"),
         (PlanOptions, {"candidates": 0}, r"candidates \(--candidates\) is 0: give 1(\.0)? or more"),
-        (PlanOptions, {"restarts": -1}, r"restarts \(--restarts\) is -1: give 0(\.0)? or more"),
+        (PlanOptions, {"tolerance": -1}, r"tolerance \(--tolerance\) is -1: give 0(\.0)? or more"),
         (PlanOptions, {"search": "gradient"}, r"search \(--search\) is gradient: give adam or gauss_newton"),
         (PlanOptions, {"guess": "near"}, r"guess \(--guess\) is near: give random or nearest or kriged"),
         (ModelConfig, {"intention_dimensions": 0}, r"intention_dimensions \(--intention-dimensions\) is 0: give 1(\.0)? or more"),
@@ -203,7 +195,7 @@ def test_a_verb_plans_as_it_is_told_and_each_part_can_be_changed_after_it(
         ("--as", "paper", "--candidates", "3"): PlanOptions(candidates=3),
         ("--iterations", "2", "--as", "regression"): replace(PlanOptions.regression(), iterations=2),
         ("--as", "paper", "--hold-goal", "--search", "gauss_newton"): PlanOptions(hold_goal=True, search="gauss_newton"),
-        ("--no-gripper-events", "--restarts", "0"): replace(PlanOptions.full(), gripper_events=False, restarts=0),
+        ("--no-gripper-events", "--tolerance", "0"): replace(PlanOptions.full(), gripper_events=False, tolerance=0.0),
     }
     for more, options in plain.items():
         assert caught([*words, *more], monkeypatch, room, name) == options, more

@@ -27,8 +27,8 @@ SCALED_DOWN = {  # so that it takes seconds: fewer demonstrations, a smaller net
     "pi.ModelConfig.small()": "pi.ModelConfig.tiny(), config=pi.TrainOptions(updates=2)",
     "pi.remember(demonstrations, model)": "pi.remember(demonstrations, model), HASTY",
 }
-HASTY = replace(preimage.PlanOptions.full(), iterations=2, restarts=0)
-SEARCH = {"--iterations": "1", "--restarts": "0", "--horizon": "4"}
+HASTY = replace(preimage.PlanOptions.full(), iterations=2)
+SEARCH = {"--iterations": "1", "--horizon": "4"}
 SMALLER = {
     "record": {"--count": "5"},
     "train": {"--size": "tiny", "--updates": "2"},

@@ -24,7 +24,7 @@ from preimage.storage.bundled import BUNDLED
 from preimage.storage.plans import load_plan, save_plan
 from preimage.storage.run_files import CALIBRATION
 
-QUICK = replace(FULL, iterations=2, restarts=0)
+QUICK = replace(FULL, iterations=2)
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +207,7 @@ def test_plan_refuses_with_exit_code_1_and_writes_anyway(
 ) -> None:
     verdict = Trust(0.02, True, (NOT_IMAGINED,), "calibrated by 60 goals")
     monkeypatch.setattr(Assessment, "__call__", lambda self, plan: verdict)
-    words = "plan", run_folder, "--goal", f"{data}:0", "--out", tmp_path / "plan", "--iterations", "1", "--restarts", "0"
+    words = "plan", run_folder, "--goal", f"{data}:0", "--out", tmp_path / "plan", "--iterations", "1"
     code, sentence = refused(*words)
     assert (code, sentence) == (1, f"the goal is refused: {NOT_IMAGINED} (calibrated by 60 goals); plan all the same with --anyway")
     assert not (tmp_path / "plan").exists()
@@ -317,7 +317,7 @@ def test_calibrate_leaves_a_calibration_that_plans_speak_by(run_folder: Path, tm
     import shutil
 
     shutil.copytree(run_folder, tmp_path / "run")
-    search = ["--iterations", "1", "--restarts", "0", "--horizon", "4"]
+    search = ["--iterations", "1", "--horizon", "4"]
     main(["calibrate", str(tmp_path / "run"), "--goals", "12", *search])
     assert "calibrated by 21 goals" in capsys.readouterr().out
     assert (tmp_path / "run" / CALIBRATION).is_file()

@@ -10,7 +10,7 @@ QUICK = {"iterations": 3, "horizon": 5, "candidates": 2}
 
 
 def planners(trained, memory, **more):
-    for options in (PlanOptions(**QUICK), PlanOptions(search="gauss_newton", guess="nearest", dimensions=3, restarts=1, **QUICK)):
+    for options in (PlanOptions(**QUICK), PlanOptions(search="gauss_newton", guess="nearest", dimensions=3, **QUICK)):
         yield Planner(trained, memory, options)
 
 

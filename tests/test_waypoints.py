@@ -16,7 +16,7 @@ from preimage.records import Percept, Plan
 
 @pytest.fixture(scope="module")
 def planner(trained: PDVMRNN, memory: DemonstrationMemory) -> Planner:
-    return Planner(trained, memory, replace(FULL, iterations=3, restarts=2))
+    return Planner(trained, memory, replace(FULL, iterations=3))
 
 
 @pytest.fixture(scope="module")

@@ -98,10 +98,6 @@ class PlanOptions(PlanConfig):
     """Whether the goal is to be stayed in, not passed through."""
     expected_joints: bool = False
     """Whether a goal given as a picture is charged for joints that do not go with such pictures in the memory."""
-    restarts: int = 0
-    """Training intentions from which a plan in doubt is searched for once more."""
-    restart_threshold: float = 0.05
-    """A plan is in doubt while its error is above this share of the error of staying at the start, expected joints included."""
     tolerance: float = 0.0
     """Share of the error of staying at the start at which a search by gauss_newton ends."""
     least_gain: float = 0.2
@@ -121,7 +117,7 @@ class PlanOptions(PlanConfig):
         super().__post_init__()
         validate(
             self,
-            at_least=dict.fromkeys(("restarts", "restart_threshold", "tolerance", "test_time_augmentation"), 0),
+            at_least=dict.fromkeys(("tolerance", "test_time_augmentation"), 0),
             above_zero=("finite_difference_step", "drop_above"),
             shares=("least_gain",),
         )
@@ -133,7 +129,7 @@ class PlanOptions(PlanConfig):
     def regression(cls) -> Self:
         """Network and search without memory."""
         return cls(
-            search="gauss_newton", guess="nearest", candidates=4, iterations=40, least_gain=0.02, drop_above=3.0, intention_cost=1e-4,
+            search="gauss_newton", guess="nearest", candidates=4, iterations=40, least_gain=0.005, drop_above=10.0, intention_cost=1e-4,
             dimensions=32, hold_goal=True, earliest_arrival=0,
         )  # fmt: skip
 
@@ -142,7 +138,7 @@ class PlanOptions(PlanConfig):
         """All ideas. The search begins near the goal, and is done sooner."""
         return replace(
             cls.regression(), guess="kriged", candidates=1, iterations=12, least_gain=0.2, drop_above=1.3, intention_cost=1e-3,
-            expected_joints=True, restarts=7, tolerance=0.003, test_time_augmentation=0.03, end_correction=True, gripper_events=True,
+            expected_joints=True, tolerance=0.003, test_time_augmentation=0.03, end_correction=True, gripper_events=True,
         )  # fmt: skip
 
     @classmethod
@@ -195,7 +191,6 @@ class PlanOptions(PlanConfig):
         from preimage.ideas.hold_goal import hold_goal, rest_at_goal
         from preimage.ideas.memory import KrigedGuess
         from preimage.ideas.nearest_training import NearestToGoal
-        from preimage.ideas.restarts import Restarts
         from preimage.ideas.watched import Watched
         from preimage.method.error_regression import adam
         from preimage.method.plan import random_guesses
@@ -208,8 +203,6 @@ class PlanOptions(PlanConfig):
         search = adam if self.search == "adam" else self.gauss_newton(tolerance, memory)
         if see:
             search = Watched(search, see)
-        if self.restarts:
-            search = Restarts(search, NearestToGoal(self.restarts), self.restart_threshold)
         terms: list[TermsOf] = [hold_goal] if self.hold_goal else []
         corrections: list[PlanCorrection] = [rest_at_goal] if self.hold_goal else []
         if memory is not None:

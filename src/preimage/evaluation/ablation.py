@@ -39,7 +39,6 @@ SWITCHES: dict[str, tuple[str, ...]] = {
     "kriged guess": ("guess", "candidates"),
     "brief search": ("iterations", "least_gain", "drop_above", "intention_cost"),
     "expected joints": ("expected_joints",),
-    "restarts": ("restarts",),
     "test-time augmentation": ("test_time_augmentation",),
     "end correction": ("end_correction",),
     "gripper events": ("gripper_events",),

@@ -42,7 +42,7 @@ PEER_CONFIG = ModelConfig(vision_channels=(6, 8, 8), motor_units=(16, 8, 6), top
 """About P-VMDNN's 42,000 weights."""
 REPEATS, AT_MOST_S = 6, 5.0
 """How often work is timed, and for how long at the most; the fastest counts, as a machine is busy with other things now and then."""
-UNSEARCHED, TO_THE_END = (replace(PlanOptions.full(), restarts=0, **each) for each in ({"iterations": 0}, {"tolerance": 0.0}))
+UNSEARCHED, TO_THE_END = (replace(PlanOptions.full(), **each) for each in ({"iterations": 0}, {"tolerance": 0.0}))
 """A plan that stays at its initial guess, and one that is searched for although the guess is good enough: they differ in the iterations."""
 TASK, TIMED_SEED = "reach", 900
 """The bundled model whose plans and training are timed, and the seed that draws the goals."""

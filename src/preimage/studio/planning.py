@@ -85,8 +85,7 @@ class Onlooker:
 
     def _left_s(self) -> float:
         """Seconds until all iterations are used, if each takes as long as those before: most searches end sooner."""
-        searches = 2 if self._options.restarts else 1  # a plan in doubt is searched for once more
-        most = searches * self._options.iterations + (2 if self._options.search == "adam" else searches)
+        most = self._options.iterations + (2 if self._options.search == "adam" else 1)
         return max(0, most - self._count) * (time.monotonic() - self._began_s) / self._count
 
 
