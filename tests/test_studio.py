@@ -303,6 +303,17 @@ def test_the_queue_is_bounded_and_says_when_to_come_again():
     assert waiting[-1].state == "stopped"
 
 
+def test_what_goes_on_beside_the_queue_is_bounded_and_does_not_hold_it_up():
+    queue, go = jobs.Jobs(), threading.Event()
+    beside = [queue.add_beside("walk", lambda _: go.wait(20) and {}) for _ in range(jobs.MOST_BESIDE)]
+    with pytest.raises(Refusal, match="moving already"):
+        queue.add_beside("walk", lambda _: {})
+    job = queue.add("plan", lambda _: {})
+    until(lambda: job.ended)
+    assert not any(each.ended for each in beside)
+    go.set()
+
+
 def test_few_jobs_are_remembered():
     queue = jobs.Jobs()
     for _ in range(3 * jobs.MOST_KEPT):

@@ -116,7 +116,7 @@ def test_what_is_done_after_the_last_decision_is_left_undone(plan, studio, monke
         return decide
 
     monkeypatch.setattr(Planner, "replanner", late)
-    job = studio.jobs.add("walk", walked.go)
+    job = studio.jobs.add_beside("walk", walked.go)
     until(lambda: job.ended)
     assert job.state == "done"
     assert walked.touches.taken() == [("goal", (0.35, 0.7))]
@@ -132,6 +132,17 @@ def test_a_walk_that_is_stopped_moves_no_more(page, plan, studio):
     assert studio.jobs.find(job).events[-1]["event"] == "stopped"
     assert len(studio.jobs.find(job).events) == ended
     assert "nothing moves" in sentence(page.post(f"/api/jobs/{job}/touch", json={"kind": "push", "seen": [0.5, 0.5]}))
+
+
+def test_a_plan_is_found_while_an_arm_moves(page, plan, studio):
+    job = walk(page, plan, {"pace": 0.25})
+    until(lambda: len(studio.jobs.find(job).events) > 2)
+    other = studio.jobs.find(planned(page, page.post("/api/goals/place", json=MIDDLE).json()))
+    until(lambda: other.began_s is not None)
+    assert not studio.jobs.find(job).ended
+    assert other.events[0]["ahead"] == 0
+    assert events_of(page, other.id)[-1]["event"] == "done"
+    page.post(f"/api/jobs/{job}/stop")
 
 
 def test_a_walk_that_nobody_watches_is_held(page, plan, studio, monkeypatch):

@@ -88,7 +88,7 @@ def add_goals(api: APIRouter, studio: Studio) -> None:
 
     @api.get("/reachable", summary="Where on the picture the arm gets to, row by row")
     def reachable() -> list[str]:
-        return run.table.reachable() if run.table else []
+        return run.table.reachable if run.table else []
 
     def told(goal: Goal) -> dict[str, Any]:
         return goal.described(run)
@@ -191,7 +191,7 @@ def add_walks(api: APIRouter, studio: Studio) -> None:
     def walk(key: str, wanted: Pace) -> dict[str, Any]:
         planned = studio.planned(key)
         walked = Walk(run, planned, jobs, pace=wanted.pace)
-        job = jobs.add("walk", walked.go, goal=planned.goal.described(run), preset=planned.preset, plan=key)
+        job = jobs.add_beside("walk", walked.go, goal=planned.goal.described(run), preset=planned.preset, plan=key)
         job.result = walked.touches
         return account(job)
 
