@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from browsing import chromium, click_table, findings, found, reach, served, sideways, visit
+from preimage.studio.closed import MOST_UPLOADED
 
 pytestmark = pytest.mark.slow
 
@@ -51,7 +52,9 @@ def test_a_picture_is_uploaded_and_one_that_is_none_gets_a_sentence(browser, add
         bad = {"name": "notes.png", "mimeType": "image/png", "buffer": b"no picture"}
         page.set_input_files("#file", files=[bad])
         page.wait_for_selector("#trouble:not([hidden])")
-        assert page.locator("#trouble").inner_text().startswith("Notes.png is not an image that can be read")
+        assert page.locator("#trouble").inner_text().startswith("notes.png is not an image that can be read")
+        page.set_input_files("#file", files=[bad | {"name": "huge.png", "buffer": bytes(MOST_UPLOADED + 1)}])
+        page.wait_for_selector("#trouble >> text=huge.png has more than 32 MB")
         file = io.BytesIO()
         Image.fromarray(np.full((64, 64), 90, np.uint8)).save(file, "PNG")
         page.set_input_files("#file", files=[{"name": "goal.png", "mimeType": "image/png", "buffer": file.getvalue()}])

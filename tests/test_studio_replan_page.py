@@ -82,6 +82,7 @@ def test_a_walk_begins_when_it_is_asked_for_tells_of_a_push_and_is_held_by_stop(
         page.keyboard.press("Enter")
         page.wait_for_selector("#walk-go:not([disabled])")
         assert page.locator("#walk-status").inner_text() == "Nothing has moved yet."
+        assert page.locator("#beliefs .limit").count() == 1  # the axes, and nothing in them
         assert page.locator("#beliefs .end-doubt").count() == 0
         page.select_option("#pace", "0.25")
         page.click("#walk-go")
