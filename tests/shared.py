@@ -190,6 +190,24 @@ def page(studio):
     return client(studio)
 
 
+@pytest.fixture(scope="module")
+def found(page) -> str:
+    """A plan to the middle of the table, once for each file."""
+    from studios import MIDDLE, events_of, planned
+
+    job = planned(page, page.post("/api/goals/place", json=MIDDLE).json())
+    assert events_of(page, job)[-1]["event"] == "done"
+    return job
+
+
+@pytest.fixture
+def plan(found, studio) -> str:
+    """It, as if it were just found: nothing was executed, nobody went on anyway."""
+    made = studio.jobs.find(found).result
+    made.trial, made.anyway = None, False
+    return found
+
+
 @contextmanager
 def without_checks() -> Iterator[None]:
     config.update("jaxtyping_disable", True)

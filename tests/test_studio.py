@@ -196,22 +196,18 @@ def test_a_plan_is_told_of_from_its_first_evaluation_to_its_end_and_again_after_
     assert page.get(f"/api/jobs/{job}").json()["about"]["goal"] == goal
 
 
-def test_nothing_moves_before_it_is_asked_for(page):
-    job = planned(page, page.post("/api/goals/place", json=MIDDLE).json())
-    events_of(page, job)
-    assert page.get(f"/api/jobs/{job}").json()["execution"] is None
-    executed = page.post(f"/api/jobs/{job}/execution").json()
+def test_nothing_moves_before_it_is_asked_for(page, plan):
+    assert page.get(f"/api/jobs/{plan}").json()["execution"] is None
+    executed = page.post(f"/api/jobs/{plan}/execution").json()
     assert executed["deviation_cm"] > 0
     assert len(executed["joints"]) == executed["steps"] == len(executed["way"])
-    assert page.get(f"/api/jobs/{job}").json()["execution"] == executed
-    assert page.post(f"/api/jobs/{job}/execution").json() == executed  # it moves once
+    assert page.get(f"/api/jobs/{plan}").json()["execution"] == executed
+    assert page.post(f"/api/jobs/{plan}/execution").json() == executed  # it moves once
 
 
-def test_what_is_kept_repeats_the_plan_on_the_command_line(page, studio):
-    goal = page.post("/api/goals/place", json=MIDDLE).json()
-    job = planned(page, goal)
-    events_of(page, job)
-    command = page.post(f"/api/jobs/{job}/kept").json()["command"]
+def test_what_is_kept_repeats_the_plan_on_the_command_line(page, studio, plan):
+    goal = page.get(f"/api/jobs/{plan}").json()["about"]["goal"]
+    command = page.post(f"/api/jobs/{plan}/kept").json()["command"]
     start, wanted = re.findall(r"--(?:start|goal) (\S+)", command)
     remembered = studio.goals.find(goal["id"])
     for source, percept in ((start, remembered.start), (wanted, remembered.goal)):
@@ -226,14 +222,12 @@ def test_a_plan_to_a_frame_has_the_command_from_the_beginning(page, data):
     assert f"--start {data}:1:0 --goal {data}:1:3 --as paper" in events_of(page, job)[-1]["plan"]["command"]
 
 
-def test_the_joints_can_be_taken_along(page):
-    job = planned(page, page.post("/api/goals/place", json=MIDDLE).json())
-    events_of(page, job)
-    rows = page.get(f"/api/jobs/{job}/joints.csv").text.splitlines()
+def test_the_joints_can_be_taken_along(page, plan):
+    rows = page.get(f"/api/jobs/{plan}/joints.csv").text.splitlines()
     assert rows[0] == "time_s,joint1,joint2,joint4,joint6"
     assert len(rows) > 2
-    assert page.get(f"/api/jobs/{job}/film.mp4").content[4:8] == b"ftyp"
-    with zipfile.ZipFile(io.BytesIO(page.get(f"/api/jobs/{job}/lerobot.zip").content)) as archive:
+    assert page.get(f"/api/jobs/{plan}/film.mp4").content[4:8] == b"ftyp"
+    with zipfile.ZipFile(io.BytesIO(page.get(f"/api/jobs/{plan}/lerobot.zip").content)) as archive:
         assert "lerobot/meta/info.json" in archive.namelist()
 
 

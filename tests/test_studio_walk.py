@@ -32,14 +32,6 @@ def believing():
         yield
 
 
-@pytest.fixture
-def plan(page) -> str:
-    """A plan to the middle of the table, found."""
-    job = planned(page, page.post("/api/goals/place", json=MIDDLE).json())
-    assert events_of(page, job)[-1]["event"] == "done"
-    return job
-
-
 def walk(page, plan: str, pace: dict) -> str:
     answer = page.post(f"/api/jobs/{plan}/walk", json=pace)
     assert answer.status_code == 202, answer.text
@@ -160,9 +152,9 @@ def test_what_cannot_be_done_on_a_table_is_refused(page, plan):
     assert page.post(f"/api/jobs/{plan}/walk", json={"pace": 0}).status_code == 422
 
 
-def test_a_refused_goal_moves_nothing_until_somebody_goes_on_anyway(page, plan, studio):
-    made = studio.jobs.find(plan).result
-    made.plan = replace(made.plan, trust=Trust(0.1, refused=True, reasons=("the goal is off what was demonstrated",), note="by 50 goals"))
+def test_a_refused_goal_moves_nothing_until_somebody_goes_on_anyway(page, plan, studio, monkeypatch):
+    made, refusal = studio.jobs.find(plan).result, ("the goal is off what was demonstrated",)
+    monkeypatch.setattr(made, "plan", replace(made.plan, trust=Trust(0.1, refused=True, reasons=refusal, note="by 50 goals")))
     for answer in (
         page.post(f"/api/jobs/{plan}/execution"),
         page.post(f"/api/jobs/{plan}/walk", json=FAST),
