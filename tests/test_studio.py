@@ -237,7 +237,11 @@ def test_a_run_without_a_simulator_plans_and_moves_nothing(own_page):
     goal = own_page.post("/api/goals/frame", json={"data": "data", "episode": 0, "step": 4}).json()
     assert not goal["executable"]
     job = planned(own_page, goal)
-    plan = events_of(own_page, job)[-1]["plan"]
+    *events, last = events_of(own_page, job)
+    plan = last["plan"]
+    assert {len(event["point"]) for event in events if event["event"] == "looked"} == {
+        2
+    }  # of two sequences intentions differ in one number
     assert (plan["way"], plan["executable"]) == (None, False)
     assert "execute" not in plan["command"]
     assert "no simulated arm" in sentence(own_page.post(f"/api/jobs/{job}/execution"))
