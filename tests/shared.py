@@ -208,6 +208,15 @@ def plan(found, studio) -> str:
     return found
 
 
+@pytest.fixture(scope="session")
+def browser():
+    """A browser for all the tests of pages."""
+    from browsing import chromium
+
+    with chromium() as browser:
+        yield browser
+
+
 @contextmanager
 def without_checks() -> Iterator[None]:
     config.update("jaxtyping_disable", True)

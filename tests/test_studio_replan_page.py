@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import pytest
 
-from browsing import chromium, click_table, findings, found, reach, served, sideways, visit
+from browsing import click_table, findings, found, reach, served, sideways, visit
 from preimage.ideas.calibration import Calibration
 from preimage.presets import PlanOptions
 from preimage.storage.atomic_write import write_json
@@ -35,12 +35,6 @@ def address(refusing):
 def bundled():
     with served("reach") as address:
         yield address
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1440, "dark"), (360, "light")])
