@@ -14,8 +14,9 @@ demo: $(READY)
 studio: $(READY)
 	$(RUN)/preimage studio --open
 
-# A process a core, each with one thread: torch's threads would wait for one another.
-PYTEST = OMP_NUM_THREADS=1 $(RUN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
+# A process a core, each with one thread: torch's threads would wait for one another. Bytecode is kept, also where the environment says
+# otherwise, as it does in many containers: dozens of processes import preimage.
+PYTEST = OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(RUN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 test: fast slow
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 
+from forks import FORKS
 from preimage.method.train import TrainConfig, train
 from preimage.network.config import ModelConfig
 from preimage.storage.checkpoints import CHECKPOINT, append_to_log, forget_after
@@ -331,15 +332,9 @@ def test_a_read_only_disk_is_told(tmp_path, monkeypatch):
 
 # Kills
 
-TRAIN = """
-import sys
-from pathlib import Path
-sys.path.insert(0, sys.argv[2])
-from test_checkpoints import CONFIG, train_to
-run = Path(sys.argv[1])
-print("ready", flush=True)
-train_to(run, config=CONFIG, resume=run.exists())
-"""
+
+def train_on(run: Path) -> None:
+    train_to(run, resume=run.exists())
 
 
 @pytest.mark.slow
@@ -347,13 +342,12 @@ def test_killed_at_random_moments_a_training_ends_with_the_same_bits(tmp_path, n
     chance = random.Random(0)
     run, kills = tmp_path / "run", 0
     while kills < pytestconfig.getoption("--kills"):
-        process = subprocess.Popen([sys.executable, "-c", TRAIN, run, Path(__file__).parent], stdout=subprocess.PIPE, text=True)
-        assert process.stdout is not None
-        process.stdout.readline()
+        process = FORKS.Process(target=train_on, args=[run])
+        process.start()
         time.sleep(chance.uniform(0, 0.35))
-        process.send_signal(signal.SIGKILL)
-        code = process.wait()
-        process.stdout.close()
+        process.kill()
+        process.join()
+        code = process.exitcode
         assert code in (0, -signal.SIGKILL), "the training failed by itself"
         kills += 1
         if code == 0 or chance.random() < 0.1:  # from the beginning, too

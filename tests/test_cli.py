@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 
 import preimage
-from conftest import make_demonstration
 from preimage import cli
 from preimage.data.dataset import describe
 from preimage.method import train as training
 from preimage.storage.runs import BUNDLED, find_run
+from shared import make_demonstration
 
 QUICK = ["--iterations", "2", "--horizon", "4"]
 

@@ -11,11 +11,11 @@ import torch
 from PIL import Image
 from safetensors.torch import save_file
 
-from conftest import make_demonstration
 from preimage import cli
 from preimage.storage.recordings import save
 from preimage.storage.validation import WEIGHTS
 from recordings import DATA, edit_json
+from shared import make_demonstration
 
 
 @pytest.fixture

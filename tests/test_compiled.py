@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from changes import apart, learning_nothing
-from conftest import make_demonstration
 from preimage.fast import closed_loop_engine, serves
 from preimage.method.train import TrainConfig, train
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN, Generated, imagined
+from shared import make_demonstration
 
 pytest.importorskip("numba")
 from preimage.fast.bfloat16 import is_compiled

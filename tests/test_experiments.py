@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from forks import FORKS
 from preimage.evaluation.experiments import goals_of, principal_plane, rank_correlation, reproduce
 from preimage.evaluation.recipes import GRIPPING, Cell, cells_of, learning_of, network_of
 from preimage.network.config import ModelConfig, Sensors
@@ -119,40 +118,37 @@ def test_a_cell_from_nothing_to_the_page_and_not_twice(tmp_path, monkeypatch) ->
     assert readme.read_text().endswith("after")
 
 
-REPRODUCE = """
-import sys
-from pathlib import Path
-from preimage.evaluation.experiments import reproduce
-from preimage.evaluation.recipes import Cell
-cell = Cell("reach", num_demonstrations=4, size="tiny", updates=3, goals=1, preset="paper", seed=1)
-print("ready", flush=True)
-reproduce([cell], work=Path(sys.argv[1]) / "work", out=Path(sys.argv[1]) / "results", tell=lambda text: None)
-"""
+def reproduce_in(place: Path) -> None:
+    cell = Cell("reach", num_demonstrations=4, size="tiny", updates=3, goals=1, preset="paper", seed=1)
+    reproduce([cell], work=place / "work", out=place / "results", tell=lambda text: None)
 
 
 @pytest.mark.slow
 def test_killed_at_any_moment_a_reproduction_goes_on_and_leaves_nothing_behind(tmp_path) -> None:
-    def begun(place: Path) -> subprocess.Popen[str]:
-        process = subprocess.Popen([sys.executable, "-c", REPRODUCE, place], stdout=subprocess.PIPE, text=True)
-        assert process.stdout is not None
-        with process.stdout as out:
-            out.readline()
+    def begun(place: Path):
+        process = FORKS.Process(target=reproduce_in, args=[place])
+        process.start()
         return process
+
+    def ends(place: Path) -> int | None:
+        process = begun(place)
+        process.join()
+        return process.exitcode
 
     def left(place: Path) -> set[str]:
         return {str(path.relative_to(place)) for path in place.rglob("*")}
 
     began = time.monotonic()
-    assert begun(tmp_path / "whole").wait() == 0
+    assert ends(tmp_path / "whole") == 0
     took = time.monotonic() - began
     for share in (0.05, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
         process = begun(tmp_path / "killed")
         time.sleep(share * took)
         process.kill()
-        process.wait()
+        process.join()
         results = tmp_path / "killed" / "results"
         assert all(json.loads(path.read_text()) for path in results.glob("*.json"))
-    assert begun(tmp_path / "killed").wait() == 0
+    assert ends(tmp_path / "killed") == 0
     assert left(tmp_path / "killed") == left(tmp_path / "whole")
 
 

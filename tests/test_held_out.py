@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import preimage
-from conftest import make_demonstration
 from preimage import cli
 from preimage.data.dataset import fingerprint
 from preimage.evaluation.held_out import (
@@ -27,6 +26,7 @@ from preimage.evaluation.held_out import (
 from preimage.presets import Planner, PlanOptions, remember
 from preimage.records import Percept, Plan, Shown, Stopped
 from preimage.report.results import evaluations_among, held_out_table
+from shared import make_demonstration
 
 QUICK = ["--iterations", "1", "--horizon", "4"]
 

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import preimage
-from conftest import make_demonstration
 from preimage import cli
 from preimage.storage import hub
 from preimage.storage.runs import BUNDLED, find_run, read_body, read_view
+from shared import make_demonstration
 
 QUICK = preimage.PlanConfig(iterations=2, horizon=4)
 REAL = {name: getattr(huggingface_hub, name) for name in ("snapshot_download", "upload_folder", "create_repo")}

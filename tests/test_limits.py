@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conftest import make_demonstration
 from preimage.data.sequences import sensors_of
 from preimage.records import Percept, Plan, Shown, Stopped
 from preimage.robot.limits import commands_of, limits_seen, read_limits
+from shared import make_demonstration
 
 RECORDED = [make_demonstration(seed, num_joints=2, num_steps=5 + seed, size=(16, 16, 1)) for seed in range(3)]
 SHOWN = [Shown(one.frames[-1], one.joints, one.rate_hz) for one in RECORDED]

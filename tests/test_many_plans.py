@@ -31,8 +31,8 @@ print(json.dumps(seen))
 
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory and open files are read from /proc")
-def test_two_thousand_plans_take_the_memory_of_ten_and_leave_no_file_open(run_folder):
-    ended = subprocess.run([sys.executable, "-c", PLANS, str(run_folder), "2000"], capture_output=True, text=True, check=True)
+def test_hundreds_of_plans_take_the_memory_of_ten_and_leave_no_file_open(run_folder):
+    ended = subprocess.run([sys.executable, "-c", PLANS, str(run_folder), "600"], capture_output=True, text=True, check=True)
     (pages, files), (pages_later, files_later) = json.loads(ended.stdout)
-    assert pages_later <= 1.05 * pages
+    assert pages_later <= 1.015 * pages  # 7 kB a plan
     assert files_later == files

@@ -2,7 +2,7 @@
 
 import pytest
 
-from browsing import chromium, findings, sideways
+from browsing import findings, sideways
 from preimage.cli import main
 from preimage.report import figure, film, page
 from test_report import make_cases, make_plan, make_results, make_trial
@@ -12,12 +12,6 @@ BOXES = """[...document.querySelectorAll('td, th')]
     .map((cell) => [cell.scrollWidth, cell.clientWidth, cell.getBoundingClientRect().right])"""
 """Of every cell: how wide what is in it is, how wide it is, and where it ends."""
 WIDTHS = (360, 480, 768, 1024, 1440, 2560)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from random import Random
 import pytest
 
 from mutations import change_a_value
+from preimage.report import results
 from preimage.report.result_files import read_result, read_results
 from preimage.report.results import write_results
 
@@ -17,10 +18,30 @@ KINDS = ["bench", "reach-100-small-seed0-recognition", "reach-100-small-seed0-mo
 KINDS += ["g1-bottle-47-small-blends-held-out"]
 
 
+@pytest.fixture
+def charts_once(monkeypatch) -> None:
+    """A chart of what was not changed is drawn once, for each takes a fifth of a second."""
+    monkeypatch.setattr(results, "growth_chart", once(results.growth_chart, lambda growth: growth))
+    monkeypatch.setattr(results, "intention_map", once(results.intention_map, lambda one: [one["goals_m"], one["map"]]))
+
+
+def once(draw, drawn_from):
+    drawn = set()
+
+    def chart(one, to):
+        if (seen := json.dumps(drawn_from(one))) not in drawn:
+            drawn.add(seen)
+            draw(one, to)
+        return to
+
+    return chart
+
+
 def test_all_results_of_the_repository_are_read():
     assert len(read_results(RESULTS)) == len(list(RESULTS.glob("*.json")))
 
 
+@pytest.mark.usefixtures("charts_once")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_result_that_was_changed_anywhere_is_reported_or_named(tmp_path, kind):
     chance, whole = Random(0), json.loads((RESULTS / f"{kind}.json").read_text())

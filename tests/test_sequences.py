@@ -6,9 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conftest import make_demonstration
 from preimage.data.sequences import at_rate, pad, sensors_of
 from preimage.records import Demonstration
+from shared import make_demonstration
 
 SMALL = (8, 8, 1)
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from conftest import make_demonstration
 from preimage.data.sequences import sensors_of
 from preimage.data.sources import find_percept, read_image
 from preimage.data.view import seen_by
 from preimage.storage.recordings import save
 from preimage.storage.runs import load_model, read_view
+from shared import make_demonstration
 
 
 @pytest.fixture(scope="module")

@@ -196,22 +196,18 @@ def test_a_plan_is_told_of_from_its_first_evaluation_to_its_end_and_again_after_
     assert page.get(f"/api/jobs/{job}").json()["about"]["goal"] == goal
 
 
-def test_nothing_moves_before_it_is_asked_for(page):
-    job = planned(page, page.post("/api/goals/place", json=MIDDLE).json())
-    events_of(page, job)
-    assert page.get(f"/api/jobs/{job}").json()["execution"] is None
-    executed = page.post(f"/api/jobs/{job}/execution").json()
+def test_nothing_moves_before_it_is_asked_for(page, plan):
+    assert page.get(f"/api/jobs/{plan}").json()["execution"] is None
+    executed = page.post(f"/api/jobs/{plan}/execution").json()
     assert executed["deviation_cm"] > 0
     assert len(executed["joints"]) == executed["steps"] == len(executed["way"])
-    assert page.get(f"/api/jobs/{job}").json()["execution"] == executed
-    assert page.post(f"/api/jobs/{job}/execution").json() == executed  # it moves once
+    assert page.get(f"/api/jobs/{plan}").json()["execution"] == executed
+    assert page.post(f"/api/jobs/{plan}/execution").json() == executed  # it moves once
 
 
-def test_what_is_kept_repeats_the_plan_on_the_command_line(page, studio):
-    goal = page.post("/api/goals/place", json=MIDDLE).json()
-    job = planned(page, goal)
-    events_of(page, job)
-    command = page.post(f"/api/jobs/{job}/kept").json()["command"]
+def test_what_is_kept_repeats_the_plan_on_the_command_line(page, studio, plan):
+    goal = page.get(f"/api/jobs/{plan}").json()["about"]["goal"]
+    command = page.post(f"/api/jobs/{plan}/kept").json()["command"]
     start, wanted = re.findall(r"--(?:start|goal) (\S+)", command)
     remembered = studio.goals.find(goal["id"])
     for source, percept in ((start, remembered.start), (wanted, remembered.goal)):
@@ -226,14 +222,12 @@ def test_a_plan_to_a_frame_has_the_command_from_the_beginning(page, data):
     assert f"--start {data}:1:0 --goal {data}:1:3 --as paper" in events_of(page, job)[-1]["plan"]["command"]
 
 
-def test_the_joints_can_be_taken_along(page):
-    job = planned(page, page.post("/api/goals/place", json=MIDDLE).json())
-    events_of(page, job)
-    rows = page.get(f"/api/jobs/{job}/joints.csv").text.splitlines()
+def test_the_joints_can_be_taken_along(page, plan):
+    rows = page.get(f"/api/jobs/{plan}/joints.csv").text.splitlines()
     assert rows[0] == "time_s,joint1,joint2,joint4,joint6"
     assert len(rows) > 2
-    assert page.get(f"/api/jobs/{job}/film.mp4").content[4:8] == b"ftyp"
-    with zipfile.ZipFile(io.BytesIO(page.get(f"/api/jobs/{job}/lerobot.zip").content)) as archive:
+    assert page.get(f"/api/jobs/{plan}/film.mp4").content[4:8] == b"ftyp"
+    with zipfile.ZipFile(io.BytesIO(page.get(f"/api/jobs/{plan}/lerobot.zip").content)) as archive:
         assert "lerobot/meta/info.json" in archive.namelist()
 
 
@@ -243,7 +237,11 @@ def test_a_run_without_a_simulator_plans_and_moves_nothing(own_page):
     goal = own_page.post("/api/goals/frame", json={"data": "data", "episode": 0, "step": 4}).json()
     assert not goal["executable"]
     job = planned(own_page, goal)
-    plan = events_of(own_page, job)[-1]["plan"]
+    *events, last = events_of(own_page, job)
+    plan = last["plan"]
+    assert {len(event["point"]) for event in events if event["event"] == "looked"} == {
+        2
+    }  # of two sequences intentions differ in one number
     assert (plan["way"], plan["executable"]) == (None, False)
     assert "execute" not in plan["command"]
     assert "no simulated arm" in sentence(own_page.post(f"/api/jobs/{job}/execution"))
@@ -301,6 +299,17 @@ def test_the_queue_is_bounded_and_says_when_to_come_again():
     go.set()
     until(lambda: all(job.ended for job in queue.all()))
     assert waiting[-1].state == "stopped"
+
+
+def test_what_goes_on_beside_the_queue_is_bounded_and_does_not_hold_it_up():
+    queue, go = jobs.Jobs(), threading.Event()
+    beside = [queue.add_beside("walk", lambda _: go.wait(20) and {}) for _ in range(jobs.MOST_BESIDE)]
+    with pytest.raises(Refusal, match="moving already"):
+        queue.add_beside("walk", lambda _: {})
+    job = queue.add("plan", lambda _: {})
+    until(lambda: job.ended)
+    assert not any(each.ended for each in beside)
+    go.set()
 
 
 def test_few_jobs_are_remembered():

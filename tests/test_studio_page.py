@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from browsing import chromium, click_table, findings, found, reach, served, sideways, visit
+from browsing import click_table, findings, found, reach, served, sideways, visit
+from preimage.studio.closed import MOST_UPLOADED
 
 pytestmark = pytest.mark.slow
 
@@ -17,12 +18,6 @@ def address(run_folder, data, tmp_path_factory):
     """The page of a tiny network on the simulated table."""
     with served(run_folder, "--data", data, "--runs", run_folder.parent, "--work", tmp_path_factory.mktemp("work")) as address:
         yield address
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (360, "dark")])
@@ -46,12 +41,16 @@ def test_click_then_film_then_execution(browser, address, width, scheme):
             assert not sideways(page), name
 
 
-def test_a_picture_is_uploaded_and_one_that_is_none_gets_a_sentence(browser, address):
+def test_a_picture_is_uploaded_and_one_that_is_none_gets_a_sentence(browser, address, tmp_path):
+    with open(tmp_path / "huge.png", "wb") as huge:
+        huge.truncate(MOST_UPLOADED + 1)
     with visit(browser, address, wrong=("422",)) as page:
         bad = {"name": "notes.png", "mimeType": "image/png", "buffer": b"no picture"}
         page.set_input_files("#file", files=[bad])
         page.wait_for_selector("#trouble:not([hidden])")
-        assert page.locator("#trouble").inner_text().startswith("Notes.png is not an image that can be read")
+        assert page.locator("#trouble").inner_text().startswith("notes.png is not an image that can be read")
+        page.set_input_files("#file", tmp_path / "huge.png")
+        page.wait_for_selector("#trouble >> text=huge.png has more than 32 MB")
         file = io.BytesIO()
         Image.fromarray(np.full((64, 64), 90, np.uint8)).save(file, "PNG")
         page.set_input_files("#file", files=[{"name": "goal.png", "mimeType": "image/png", "buffer": file.getvalue()}])

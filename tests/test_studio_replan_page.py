@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import pytest
 
-from browsing import chromium, click_table, findings, found, reach, served, sideways, visit
+from browsing import click_table, findings, found, reach, served, sideways, visit
 from preimage.ideas.calibration import Calibration
 from preimage.presets import PlanOptions
 from preimage.storage.atomic_write import write_json
@@ -35,12 +35,6 @@ def address(refusing):
 def bundled():
     with served("reach") as address:
         yield address
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1440, "dark"), (360, "light")])
@@ -82,6 +76,7 @@ def test_a_walk_begins_when_it_is_asked_for_tells_of_a_push_and_is_held_by_stop(
         page.keyboard.press("Enter")
         page.wait_for_selector("#walk-go:not([disabled])")
         assert page.locator("#walk-status").inner_text() == "Nothing has moved yet."
+        assert page.locator("#beliefs .limit").count() == 1  # the axes, and nothing in them
         assert page.locator("#beliefs .end-doubt").count() == 0
         page.select_option("#pace", "0.25")
         page.click("#walk-go")

@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("fastapi", reason="the extra studio is not installed: pip install -e '.[studio]'")
 
+from preimage.data.view import View
 from preimage.storage.locks import locked, writer
 from preimage.storage.runs import read_log
 from preimage.studio.api import Studio
@@ -107,6 +108,22 @@ def test_who_writes_a_run_is_told_and_the_run_left_to_them(tmp_path):
     assert writer(tmp_path) is None  # that process was killed
     with pytest.raises(Refusal, match="stop it where it was started"):
         trainer.stop(tmp_path)
+
+
+def test_what_was_stopped_before_anything_was_kept_says_so_and_can_be_begun_again(data, tmp_path):
+    trainings = Trainings([tmp_path / "runs"], Recordings([data], View()), into=tmp_path)
+    trainings.trainer = of(NEVER_ENDING)
+    for _ in range(2):
+        trainings.begin("three", "mine", **SETTINGS)
+        ready(trainings.trainer, tmp_path / "runs" / "mine")
+        with pytest.raises(Refusal, match="already"):
+            trainings.begin("three", "mine", **SETTINGS)
+        trainings.stop("mine")
+        until(lambda: trainings.described("mine")["state"] == "stopped")
+        told = trainings.described("mine")
+        assert "begin it again" in told["words"]
+        assert not told["resumable"]
+    trainings.trainer.close()
 
 
 # ---- the page

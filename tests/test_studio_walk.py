@@ -32,14 +32,6 @@ def believing():
         yield
 
 
-@pytest.fixture
-def plan(page) -> str:
-    """A plan to the middle of the table, found."""
-    job = planned(page, page.post("/api/goals/place", json=MIDDLE).json())
-    assert events_of(page, job)[-1]["event"] == "done"
-    return job
-
-
 def walk(page, plan: str, pace: dict) -> str:
     answer = page.post(f"/api/jobs/{plan}/walk", json=pace)
     assert answer.status_code == 202, answer.text
@@ -116,7 +108,7 @@ def test_what_is_done_after_the_last_decision_is_left_undone(plan, studio, monke
         return decide
 
     monkeypatch.setattr(Planner, "replanner", late)
-    job = studio.jobs.add("walk", walked.go)
+    job = studio.jobs.add_beside("walk", walked.go)
     until(lambda: job.ended)
     assert job.state == "done"
     assert walked.touches.taken() == [("goal", (0.35, 0.7))]
@@ -134,6 +126,17 @@ def test_a_walk_that_is_stopped_moves_no_more(page, plan, studio):
     assert "nothing moves" in sentence(page.post(f"/api/jobs/{job}/touch", json={"kind": "push", "seen": [0.5, 0.5]}))
 
 
+def test_a_plan_is_found_while_an_arm_moves(page, plan, studio):
+    job = walk(page, plan, {"pace": 0.25})
+    until(lambda: len(studio.jobs.find(job).events) > 2)
+    other = studio.jobs.find(planned(page, page.post("/api/goals/place", json=MIDDLE).json()))
+    until(lambda: other.began_s is not None)
+    assert not studio.jobs.find(job).ended
+    assert other.events[0]["ahead"] == 0
+    assert events_of(page, other.id)[-1]["event"] == "done"
+    page.post(f"/api/jobs/{job}/stop")
+
+
 def test_a_walk_that_nobody_watches_is_held(page, plan, studio, monkeypatch):
     monkeypatch.setattr(jobs, "GRACE_S", 0.05)
     job = walk(page, plan, SLOW)
@@ -149,9 +152,9 @@ def test_what_cannot_be_done_on_a_table_is_refused(page, plan):
     assert page.post(f"/api/jobs/{plan}/walk", json={"pace": 0}).status_code == 422
 
 
-def test_a_refused_goal_moves_nothing_until_somebody_goes_on_anyway(page, plan, studio):
-    made = studio.jobs.find(plan).result
-    made.plan = replace(made.plan, trust=Trust(0.1, refused=True, reasons=("the goal is off what was demonstrated",), note="by 50 goals"))
+def test_a_refused_goal_moves_nothing_until_somebody_goes_on_anyway(page, plan, studio, monkeypatch):
+    made, refusal = studio.jobs.find(plan).result, ("the goal is off what was demonstrated",)
+    monkeypatch.setattr(made, "plan", replace(made.plan, trust=Trust(0.1, refused=True, reasons=refusal, note="by 50 goals")))
     for answer in (
         page.post(f"/api/jobs/{plan}/execution"),
         page.post(f"/api/jobs/{plan}/walk", json=FAST),

@@ -59,6 +59,7 @@ def falls(told: list[Progress]) -> bool:
     return bool(last < 0.75 * first)
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("network", NETWORKS)
 def test_the_error_falls_and_the_network_is_loaded_as_it_was(network: str, tmp_path: Path) -> None:
     told: list[Progress] = []
@@ -147,6 +148,7 @@ def test_a_recording_slower_than_the_model_keeps_its_rate() -> None:
     assert model.config.rate_hz == 2.5
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_bfloat16_trains_near_float32() -> None:
     began, ended, trained = [], [], []
     config = replace(CONFIG, updates=60, learning_rate=1e-2)
@@ -266,6 +268,7 @@ def test_a_later_start_is_the_rest_of_the_same_demonstration() -> None:
         assert (later.sequences.joints[row, len(expected) :] == expected[-1]).all()
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     "options",
     [TrainOptions(later_starts=0.5), TrainOptions(mixup=0.5), TrainOptions(mixup=0.6, mixup_arity=4, later_starts=0.5)],

@@ -13,6 +13,7 @@ from fastapi.responses import PlainTextResponse, StreamingResponse
 
 from preimage.studio import planning
 from preimage.studio.asked import FrameOf, Now, Pace, Place, Point, Touched, Wanted
+from preimage.studio.closed import MOST_UPLOADED
 from preimage.studio.eyes_open import Walk
 from preimage.studio.goals import MOST_SEEDS, Goal, Goals
 from preimage.studio.intentions import Intentions
@@ -79,7 +80,7 @@ def add_goals(api: APIRouter, studio: Studio) -> None:
 
     @api.get("/studio", summary="What was opened: the run, its joints, presets and table, the data sets")
     def opened() -> dict[str, Any]:
-        more = {"has_runs": studio.trainings.has_any, "has_results": studio.results.has_any}
+        more = {"has_runs": studio.trainings.has_any, "has_results": studio.results.has_any, "most_uploaded": MOST_UPLOADED}
         return run.described() | {"data": studio.recordings.listed()} | more
 
     @api.get("/scene", summary="What the camera sees before anything moves")
@@ -88,7 +89,7 @@ def add_goals(api: APIRouter, studio: Studio) -> None:
 
     @api.get("/reachable", summary="Where on the picture the arm gets to, row by row")
     def reachable() -> list[str]:
-        return run.table.reachable() if run.table else []
+        return run.table.reachable if run.table else []
 
     def told(goal: Goal) -> dict[str, Any]:
         return goal.described(run)
@@ -191,7 +192,7 @@ def add_walks(api: APIRouter, studio: Studio) -> None:
     def walk(key: str, wanted: Pace) -> dict[str, Any]:
         planned = studio.planned(key)
         walked = Walk(run, planned, jobs, pace=wanted.pace)
-        job = jobs.add("walk", walked.go, goal=planned.goal.described(run), preset=planned.preset, plan=key)
+        job = jobs.add_beside("walk", walked.go, goal=planned.goal.described(run), preset=planned.preset, plan=key)
         job.result = walked.touches
         return account(job)
 

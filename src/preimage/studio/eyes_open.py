@@ -21,14 +21,12 @@ from preimage.studio.touches import Seen, Touches, move_object, push, want
 
 PATIENCE = 4
 """It ends after so many times the steps of the plan in any case: whoever pushes the arm keeps it from arriving."""
-ERRAND_S = 0.05
-"""How long an errand may wait while the arm moves (s): an intention that is dragged does not look as if it hung."""
 BELIEVED = ("step", "steps_left", "window_error", "goal_error", "unexplained", "doubt", "moved", "held", "num_imagined", "seconds")
 """Of a belief, what the page gets."""
 
 
 class Walk:
-    """One plan, executed step by step.
+    """One plan, executed step by step, beside the queue of plans: what it has to compute, the worker does between two steps of a search.
 
     Args:
         pace: how many times as fast as the robot it goes.
@@ -55,12 +53,12 @@ class Walk:
         replanner = self._planner.replanner(goals=[self._planned.goal.goal], found=plan)
 
         def decide(percept: Percept) -> Belief:
-            self._go_on(job)
+            job.go_on()
             about = {}
             if self._next_goal is not None and self._next_goal.frame is not None:
                 replanner.change_goal(self._next_goal)
                 about, self._next_goal = {"goal": inline(self._next_goal.frame)}, None
-            belief = replanner(percept)
+            belief = self._jobs.errand(lambda: replanner(percept)).result()
             self._is_over = belief.done
             job.tell("step", **about, **self._described(belief, replanner.imagined, percept))
             return belief
@@ -73,9 +71,8 @@ class Walk:
     def _end_step(self, job: Job, stage: Stage) -> None:
         """Wait until the step is over, and let happen what was done meanwhile."""
         self._step_ends_s += 1 / (self._planned.plan.rate_hz * self._pace)
-        while (left_s := self._step_ends_s - time.monotonic()) > 0:
-            self._go_on(job)
-            job.rest(min(left_s, ERRAND_S))
+        job.rest(max(0.0, self._step_ends_s - time.monotonic()))
+        job.go_on()
         self._step_ends_s = max(self._step_ends_s, time.monotonic())  # what thought for too long is not made up for
         for kind, seen in () if self._is_over else self.touches.taken():
             try:
@@ -92,10 +89,6 @@ class Walk:
         self._next_goal, words = want(self._table, stage, seen)
         self._is_judged = True
         return words
-
-    def _go_on(self, job: Job) -> None:
-        job.go_on()
-        self._jobs.run_errands()
 
     def _described(self, belief: Belief, imagined: Imagined, percept: Percept) -> dict[str, Any]:
         """What is believed at a step, as the page gets it; the film only where another way is imagined than before."""

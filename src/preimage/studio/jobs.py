@@ -1,5 +1,7 @@
 """Work that takes seconds: a queue of bounded length, one worker, and an account of each job that can be read again from its beginning.
 
+What takes long without computing much, as an arm that moves, is done beside the queue, and asks the worker for what it has to compute.
+
 A job writes down what happens as events with numbers. Whoever listens gets those that were, then those that come; after a reload the page
 asks for the rest by the number of the last one it saw. A job to which nobody listens any more for `GRACE_S` is stopped.
 """
@@ -21,6 +23,8 @@ from preimage.studio.problems import Refusal
 
 MOST_WAITING = 8
 """Jobs that may wait for their turn: more would wait for minutes."""
+MOST_BESIDE = 4
+"""Jobs that may go on beside the queue: each has a thread, and every person looks at one."""
 MOST_KEPT = 24
 """Jobs that are remembered once they ended; one takes about 0.2 MB."""
 GRACE_S = 20.0
@@ -38,9 +42,9 @@ class JobStopped(Exception):
 class Job:
     """One piece of work and its account."""
 
-    def __init__(self, kind: str, work: "Callable[[Job], Event]", about: dict[str, Any]) -> None:
+    def __init__(self, kind: str, work: "Callable[[Job], Event]", about: dict[str, Any], *, beside: bool = False) -> None:
         self.id, self.kind, self.about = secrets.token_urlsafe(9), kind, about
-        self.work = work
+        self.work, self.beside = work, beside
         self.events: list[Event] = []
         self.result: Any = None
         self.began_s: float | None = None
@@ -131,17 +135,32 @@ class Jobs:
         Raises:
             Refusal: there is no more room in the queue.
         """
+        sentence = f"{number_of(MOST_WAITING, 'plan')} are waiting already: wait until one has ended, or stop one"
+        job = self._remember(Job(kind, work, about), most=MOST_WAITING + 1, sentence=sentence)
+        self._waiting.put(job)
+        return job
+
+    def add_beside(self, kind: str, work: Callable[[Job], Event], **about: Any) -> Job:
+        """A new job that begins at once in a thread of its own: what it computes, it asks the worker for (`errand`).
+
+        Raises:
+            Refusal: as many go on as may.
+        """
+        sentence = f"{number_of(MOST_BESIDE, 'arm')} are moving already: wait until one has arrived, or stop one"
+        job = self._remember(Job(kind, work, about, beside=True), most=MOST_BESIDE, sentence=sentence)
+        threading.Thread(target=self._do, args=[job], name=f"studio {kind}", daemon=True).start()
+        return job
+
+    def _remember(self, job: Job, *, most: int, sentence: str) -> Job:
+        """Raises Refusal where as many of its kind are not ended yet."""
         with self._lock:
-            unfinished = [job for job in self._jobs.values() if not job.ended and not job.asked_to_stop]
-            if len(unfinished) > MOST_WAITING:
-                sentence = f"{number_of(MOST_WAITING, 'plan')} are waiting already: wait until one has ended, or stop one"
+            ahead = [each for each in self._jobs.values() if each.beside == job.beside and not each.ended and not each.asked_to_stop]
+            if len(ahead) >= most:
                 raise Refusal(HTTPStatus.SERVICE_UNAVAILABLE, sentence, retry_after_s=2)
-            job = Job(kind, work, about)
-            job.tell("waiting", ahead=len(unfinished))
+            job.tell("waiting", ahead=0 if job.beside else len(ahead))
             self._jobs[job.id] = job
             for old in [key for key, each in self._jobs.items() if each.ended][: max(0, len(self._jobs) - MOST_KEPT)]:
                 del self._jobs[old]
-        self._waiting.put(job)
         return job
 
     def find(self, key: str) -> Job:

@@ -22,6 +22,7 @@ from preimage.robot.limits import commands_of
 from preimage.storage.plans import save_episode, write_commands
 from preimage.storage.recordings import save
 from preimage.studio.goals import Goal
+from preimage.studio.intentions import plane
 from preimage.studio.jobs import Job, Jobs
 from preimage.studio.opened import OpenedRun
 from preimage.studio.pictures import inline, strip, text_of
@@ -77,7 +78,7 @@ class Onlooker:
         nearest = considered.error.argsort()[:MOST_DOTS]
         about["errors"] = [round(value, 4) for value in considered.error[nearest].tolist()]
         about["arrivals"] = considered.arrival[nearest].tolist()
-        about["point"] = [round(value, 3) for value in considered.points[best, :2].tolist()]
+        about["point"] = [round(value, 3) for value in plane(considered.points[best][None])[0].tolist()]
         if error < self._lowest:
             self._lowest = error
             about["frame"] = inline(to_frames(considered.generated.pixels[best, arrival]).cpu().numpy())

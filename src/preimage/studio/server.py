@@ -2,9 +2,9 @@
 
 import secrets
 import socket
-import threading
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
+from functools import partial
 from http import HTTPStatus
 from importlib import resources
 from pathlib import Path
@@ -16,9 +16,12 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 
+from preimage.ideas.watched import Considered
+from preimage.network.inputs import home
 from preimage.studio.api import Studio, routes
 from preimage.studio.closed import LOOPBACK, Closed
 from preimage.studio.jobs import sentence_of
+from preimage.studio.opened import OpenedRun
 from preimage.studio.problems import MEDIA_TYPE, Refusal, problem_of
 
 KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
@@ -107,15 +110,23 @@ def serve(studio: Studio, *, host: str, port: int, ready: Callable[[str], None])
         listening.listen()  # whoever opens the address at once waits until the server is up, and is not refused
         number = listening.getsockname()[1]
         config = uvicorn.Config(application(studio, token=token), log_level="error", access_log=False, timeout_graceful_shutdown=1)
-        threading.Thread(target=warm_up, args=[studio], daemon=True).start()
+        studio.jobs.errand(partial(warm_up, studio.run))
         shown = f"[{host}]" if ":" in host else host
         ready(f"http://{shown}:{number}/" + (f"#token={token}" if token else ""))
         uvicorn.Server(config).run([listening])
 
 
-def warm_up(studio: Studio) -> None:
-    """Load the network before it is asked for; what is wrong with it is told when it is."""
-    try:
-        studio.run.planner(studio.run.presets[-1])
-    except ValueError:
-        return
+class Woken(Exception):
+    """Ends the search of `warm_up`."""
+
+
+def warm_up(run: OpenedRun) -> None:
+    """Load the network, and let it imagine once, so that whoever asks first waits no longer than others; a fault is told when it is met."""
+
+    def wake(_: Considered) -> None:
+        raise Woken
+
+    with suppress(ValueError, Woken):
+        planner = run.planner(run.presets[-1])
+        start = home(planner.model)
+        planner.watched(wake).plan(start=start, goal=start)

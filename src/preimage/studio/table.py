@@ -9,6 +9,7 @@
 
 import threading
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -134,6 +135,7 @@ class Table:
         """Where on the picture the hand is on its way."""
         return self.camera.project(forward_kinematics(joints[:, : len(ACTIVE_JOINTS)]))
 
+    @cached_property
     def reachable(self) -> list[str]:
         """Rows of a grid over the picture: 1 where the arm gets to what is seen there."""
         middles = (np.arange(GRID) + 0.5) / GRID

@@ -49,7 +49,8 @@ class Trainings:
 
     def begin(self, data: str, name: str, *, size: str, preset: str, updates: int) -> dict[str, Any]:
         """Train a new run on a data set that the studio was given; Refusal where that cannot be."""
-        if name in self._runs():
+        there = self._runs().get(name)
+        if there is not None and (is_run(there) or self.trainer.state(there)[0] == "running"):
             raise Refusal(HTTPStatus.CONFLICT, f"there is a run {name} already: choose another name, or resume it")
         folder = self.trainer.begin(self._recordings.folder(data), self._into, name, size=size, preset=preset, updates=updates)
         return {"name": name, "folder": str(folder)}
@@ -80,6 +81,8 @@ class Trainings:
         left_s = sum(recent) / len(recent) * max(0, wanted - done) if recent and isinstance(wanted, int) else None
         shown = lines[:: max(1, len(lines) // MOST_POINTS)]
         state, words = self.trainer.state(folder)
+        if state == "stopped" and not is_run(folder):
+            words = "before there was anything to resume: begin it again"
         weights = folder / WEIGHTS
         about = {"name": name, "updates": wanted, "done": done, "left_s": left_s, "state": state, "words": words}
         about["weights"] = str(weights.stat().st_mtime_ns) if weights.is_file() else None

@@ -15,7 +15,7 @@ let opened;
 
 export function trouble(error) {
   if (error?.name === "AbortError") return;
-  $("trouble").textContent = error ? `${error.message[0].toUpperCase()}${error.message.slice(1)}` : "";
+  $("trouble").textContent = error ? error.message.replace(/^[a-z]+(?= )/, (word) => word[0].toUpperCase() + word.slice(1)) : ""; // but no name of a file
   $("trouble").hidden = !error;
 }
 

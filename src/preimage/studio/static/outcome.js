@@ -44,9 +44,8 @@ export async function showPlan(plan, known) {
 
 function trustWords(trust) {
   if (!trust) return [];
-  const likely = trust.probability == null ? "Nobody calibrated such plans: there is no probability." : "";
   const share = trust.probability == null ? [] : [make("strong", { class: trust.refused ? "bad" : "" }, `${Math.round(100 * trust.probability)} %`), " likely to succeed"];
-  return [...share, likely, make("span", { class: "note" }, ` ${trust.note}`)];
+  return [...share, make("span", { class: "note" }, share.length ? ` ${trust.note}` : `${trust.note[0].toUpperCase()}${trust.note.slice(1)}`)];
 }
 
 /** What may be done with the plan: of one whose goal is refused only to go on anyway. */

@@ -48,6 +48,7 @@ async function showScene() {
   $("table").disabled = !studio.table;
   $("table").setAttribute("aria-label", studio.table ? "The table: arrow keys move the target, Enter plans to it" : "What the camera sees at the start");
   $("table-help").textContent = studio.table ? "Or drop or paste a picture anywhere. With the keyboard: arrows move the target, Enter takes it." : "Drop or paste a picture anywhere.";
+  $("from-now").hidden = !studio.table; // of another robot nothing is seen now
   $("another").hidden = !studio.table?.things.length;
   if (studio.table) await dim();
   drawHand(0);

@@ -84,7 +84,7 @@ export class Player {
     const imagined = this.plan.joints.map((row) => row[joint]);
     const executed = this.executed?.joints.map((row) => row[joint]) ?? [];
     const at = Math.min(this.step, imagined.length - 1);
-    this.values[joint].textContent = `${imagined[at].toFixed(2)} ${unit}`;
+    this.values[joint].textContent = `${(Math.round(100 * imagined[at]) / 100 + 0).toFixed(2)} ${unit}`;
     const [low, high] = [Math.min(lower, ...imagined, ...executed), Math.max(upper, ...imagined, ...executed)];
     const x = scale(0, this.last, 4, width - 4);
     const y = scale(low, high, height - 6, 6);

@@ -84,6 +84,7 @@ function build() {
   );
   picture = $("walk-scene");
   listenToHands(table);
+  clearBeliefs();
   help();
 }
 

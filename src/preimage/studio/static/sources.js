@@ -7,7 +7,11 @@ import { state } from "./state.js";
 
 /** Goals by these ways are handed on as `take(ask)`, where ask() asks the server for the goal. */
 export function buildSources(take) {
-  const picture = (file) => file && take(() => upload(`goals/picture?seed=${state.seed}`, file));
+  const { most_uploaded: most } = state.studio;
+  const picture = (file) => file && take(() => {
+    if (file.size > most) throw new Error(`${file.name} has more than ${most / 2 ** 20} MB: give a smaller picture`); // a server that stops reading is taken for one that is not there
+    return upload(`goals/picture?seed=${state.seed}`, file);
+  });
   $("file").addEventListener("change", (event) => {
     picture(event.target.files[0]);
     event.target.value = "";
