@@ -11,7 +11,10 @@ of memory; the input is as it was, and nothing half-written is left.
 """
 
 import argparse
+import contextlib
+import gc
 import hashlib
+import io
 import json
 import os
 import re
@@ -310,18 +313,41 @@ def serve(inputs: Path) -> None:
         name = ".".join(room.relative_to(HERE.parent / "src").with_suffix("").parts).removesuffix(".__init__")
         if not name.endswith(("__main__", "gym")):
             import_module(name)
-    import matplotlib.pyplot  # noqa: F401
-
     if not (inputs / "run").exists():
-        made = os.fork()  # what makes inputs may start threads, and a process with threads is not to be forked
-        if not made:
-            make_inputs(inputs)
-            os._exit(0)
-        assert os.waitpid(made, 0)[1] == 0, "the inputs could not be made"
+        make_inputs_elsewhere(inputs)
+    gc.freeze()  # collecting would write to every page that is shared with a fork
     options = {verb: options_of(verb) for verb in VERBS}
     print(json.dumps(options), file=answers, flush=True)
     for line in sys.stdin:
         print(json.dumps(vars(forked(**json.loads(line)))), file=answers, flush=True)
+
+
+def make_inputs_elsewhere(inputs: Path) -> None:
+    """Make the inputs in a fork, for what makes them may start threads, and load what that fork had to load: torch's Adam takes 2 s.
+
+    Figures are drawn here, once: fonts are looked for in the first one.
+    """
+    from importlib import import_module
+
+    receiving, sending = os.pipe()
+    made = os.fork()
+    if not made:
+        make_inputs(inputs)
+        os.write(sending, "\n".join(name for name in sys.modules if not name.startswith("__")).encode())
+        os._exit(0)
+    os.close(sending)
+    with os.fdopen(receiving) as names:
+        loaded = names.read().split("\n")
+    assert os.waitpid(made, 0)[1] == 0, "the inputs could not be made"
+    for name in loaded:
+        if name not in sys.modules:
+            with contextlib.suppress(ImportError):
+                import_module(name)
+    import matplotlib.pyplot as plt
+
+    plt.figure().add_subplot().set_title("Abc 123")
+    plt.savefig(io.BytesIO(), dpi=50)
+    plt.close()
 
 
 def options_of(verb: str) -> list[str]:
