@@ -267,9 +267,10 @@ class Program:
         assert line, "the program to be forked is gone"
         return json.loads(line)
 
-    def run(self, words: list[str], place: Path) -> Ended:
+    def run(self, words: list[str], place: Path, *, by: int = signal.SIGKILL, after_s: float | None = None) -> Ended:
+        """Run a command; `after_s` seconds from its start it gets the signal `by`, unless it has ended."""
         assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps({"words": words, "place": str(place)}) + "\n")
+        self.process.stdin.write(json.dumps({"words": words, "place": str(place), "by": by, "after_s": after_s}) + "\n")
         self.process.stdin.flush()
         return Ended(**self._read())
 
@@ -356,7 +357,7 @@ def options_of(verb: str) -> list[str]:
     return sorted(name for name in set(re.findall(r"(?<=[\s│,])--[a-z][a-z0-9.-]*", text)) if not LEFT_OUT.match(name))
 
 
-def forked(words: list[str], place: str) -> Ended:
+def forked(words: list[str], place: str, by: int, after_s: float | None) -> Ended:
     out, err = (tempfile.TemporaryFile() for _ in range(2))  # noqa: SIM115, closed when they were read
     began = time.monotonic()
     child = os.fork()
@@ -368,6 +369,9 @@ def forked(words: list[str], place: str) -> Ended:
         os._exit(code_of(words, place))
     code: int | None = None
     while True:
+        if after_s is not None and time.monotonic() - began >= after_s:
+            os.kill(child, by)
+            after_s = None
         ended, status, usage = os.wait4(child, os.WNOHANG)
         if ended:
             code = os.waitstatus_to_exitcode(status)
@@ -376,7 +380,7 @@ def forked(words: list[str], place: str) -> Ended:
             os.killpg(child, signal.SIGKILL)
             _, _, usage = os.wait4(child, 0)
             break
-        time.sleep(0.01)
+        time.sleep(0.01 if after_s is None else min(0.01, max(0.0, began + after_s - time.monotonic())))
     texts = []
     for file in (out, err):
         file.seek(0)

@@ -2,11 +2,8 @@
 
 import json
 import os
-import random
-import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -327,46 +324,6 @@ def test_a_read_only_disk_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "mkdir", refuse)
     with pytest.raises(OSError, match="Read-only file system"):
         train_to(tmp_path / "run")
-
-
-# Kills
-
-TRAIN = """
-import sys
-from pathlib import Path
-sys.path.insert(0, sys.argv[2])
-from test_checkpoints import CONFIG, train_to
-run = Path(sys.argv[1])
-print("ready", flush=True)
-train_to(run, config=CONFIG, resume=run.exists())
-"""
-
-
-@pytest.mark.slow
-def test_killed_at_random_moments_a_training_ends_with_the_same_bits(tmp_path, never_stopped, pytestconfig):
-    chance = random.Random(0)
-    run, kills = tmp_path / "run", 0
-    while kills < pytestconfig.getoption("--kills"):
-        process = subprocess.Popen([sys.executable, "-c", TRAIN, run, Path(__file__).parent], stdout=subprocess.PIPE, text=True)
-        assert process.stdout is not None
-        process.stdout.readline()
-        time.sleep(chance.uniform(0, 0.35))
-        process.send_signal(signal.SIGKILL)
-        code = process.wait()
-        process.stdout.close()
-        assert code in (0, -signal.SIGKILL), "the training failed by itself"
-        kills += 1
-        if code == 0 or chance.random() < 0.1:  # from the beginning, too
-            train_to(run, resume=True) if run.exists() else train_to(run)
-            assert torch.equal(weights(load_model(run)), weights(load_model(never_stopped)))
-            assert {path.name for path in run.iterdir()} == {path.name for path in never_stopped.iterdir()}
-            for path in run.iterdir():
-                path.unlink()
-            run.rmdir()
-    train_to(run, resume=run.exists())
-    assert torch.equal(weights(load_model(run)), weights(load_model(never_stopped)))
-    assert [line["update"] for line in read_log(run)] == [1, 2, 3, 4, 5, 6]
-    assert {path.name for path in run.iterdir()} == {path.name for path in never_stopped.iterdir()}
 
 
 def test_a_log_that_never_ends_is_not_read(tmp_path):

@@ -26,6 +26,7 @@ class Kind(enum.Enum):
     TASKS = "several tasks"
     COUNTER = "columns that are no joints"
     WRAPS = "angles that wrap"
+    SIGN = "quaternions that change their sign"
     UNLIKE = "episodes unlike each other"
     LENGTHS = "missing or extra frames"
     DURATION = "unusual duration"
