@@ -427,3 +427,8 @@ def test_a_counter_among_the_joints_is_asked_about():
     assert finding.what == "row rises evenly in every episode, as a clock or a counter does"
     assert "--view.joints yaw shoulder gripper" in finding.help
     assert Kind.COUNTER not in found(examine([counting(one) for one in healthy()], joints_chosen=True))
+
+
+@pytest.mark.parametrize("size", [(1, 3), (3, 1), (1, 1)], ids=str)
+def test_pictures_of_one_row_are_examined(size):
+    assert examine([replace(one, frames=one.frames[:, : size[0], : size[1]]) for one in healthy()[:3]]).findings

@@ -35,7 +35,7 @@ def blank(seen: Sequence[Seen]) -> Iterator[Finding]:
             help_ += f", and whether it wrote fewer bits than its files have: the brightest pixel is {brightest} of 255"
         yield Finding(Kind.BLANK, Severity.FAULT, "no frame shows anything", help_, episodes, places)
     else:
-        what = f"{in_episodes(episodes)} hold {number_of(len(places), 'frame')} of one colour"
+        what = f"{in_episodes(episodes, 'hold')} {number_of(len(places), 'frame')} of one colour"
         yield Finding(Kind.BLANK, Severity.WARNING, what, leaving_out(episodes), episodes, places)
 
 

@@ -90,7 +90,7 @@ def waits(seen: Sequence[Seen]) -> Iterator[Finding]:
     long = [one for one in seen if rests[one.index] >= max(LONG_REST * one.num_steps, LONG_REST_S * one.rate_hz)]
     if long:
         steps = int(np.median([rests[one.index] for one in long]))
-        what = f"{in_episodes(one.index for one in long)} begin with a long rest: {steps} of "
+        what = f"{in_episodes((one.index for one in long), 'begin')} with a long rest: {steps} of "
         what += f"{np.median([one.num_steps for one in long]):.0f} steps ({steps / seen[0].rate_hz:.1f} s, median) before a joint moves"
         help_ = "cut it off, for a plan learns to wait as long"
         yield Finding(Kind.WAITS, Severity.WARNING, what, help_, tuple(one.index for one in long))
