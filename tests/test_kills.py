@@ -87,7 +87,6 @@ def test_killed_at_random_moments_a_training_ends_with_the_same_bits(program, pl
         (EVALUATE, EVALUATE),
         (["execute", "plan", "--film", "new.gif"], ["execute", "plan", "--film", "new.gif"]),
         (["check", "ours", "--out", "new.html"], ["check", "ours", "--out", "new.html"]),
-        (["report", "--results", "results", "--out", "new.md", "--readme", "README.md"], None),
     ],
     ids=lambda words: words and words[0],
 )
@@ -107,3 +106,20 @@ def test_a_killed_verb_leaves_what_was_there_or_what_it_makes(program, place, py
     ended = program.run(again or words, place)
     assert ended.code == 0, ended.err
     assert set(tree(place)) == whole
+
+
+def test_a_killed_report_leaves_files_that_are_whole(program, place, pytestconfig):
+    """It writes several, each at once; the next one writes those that are missing."""
+    chance, before, words = Random(0), names(place), ["report", "--results", "results", "--out", "new.md", "--readme", "README.md"]
+    reference = program.run(words, place)
+    assert reference.code == 0, reference.err
+    whole = tree(place)
+    for _ in range(pytestconfig.getoption("--kills") // 2):
+        for name in set(whole) - before:
+            if (place / name).is_file():
+                (place / name).unlink()
+        program.run(words, place, after_s=chance.uniform(0, reference.seconds))
+        assert all(tree(place)[name] == whole[name] for name in names(place))
+    ended = program.run(words, place)
+    assert ended.code == 0, ended.err
+    assert tree(place) == whole

@@ -20,7 +20,7 @@ from preimage.examination.findings import Finding, Kind, Severity
 from preimage.examination.goals import coverage, duplicates, spacing, untold
 from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrest
 from preimage.examination.otherwise import Begun, recorded_otherwise
-from preimage.examination.pictures import blank, moved, scene, stuck
+from preimage.examination.pictures import blank, lost, moved, scene, stuck
 from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths, unreadable
 from preimage.examination.seen import RATE_HZ, Seen, look_through
 from preimage.examination.selection import clocks, gaps, tasks, unwrap
@@ -113,6 +113,6 @@ def validate(demonstrations: Sequence[Demonstration], episodes: Sequence[int]) -
 def _findings(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> list[Finding]:
     apart = spacing(seen)
     of_arm = [*clock(seen), *frozen(seen), *out_of_range(seen), *jumps(seen), *waits(seen), *unrest(seen)]
-    of_camera = [*blank(seen), *stuck(seen), *stale(seen), *lag(seen), *moved(seen, moves)]
+    of_camera = [*blank(seen), *stuck(seen), *lost(seen), *stale(seen), *lag(seen), *moved(seen, moves)]
     of_goals = [*duplicates(seen, apart), *untold(seen, moves), *starts(seen), *coverage(seen, apart)]
     return [*recorded_otherwise(seen), *of_arm, *of_camera, *of_goals, *scene(seen)]
