@@ -293,6 +293,14 @@ def test_demonstrations_that_cannot_be_are_told(tmp_path, never_stopped, change)
         read_shown(run)
 
 
+def test_joints_in_half_precision_are_read(tmp_path, never_stopped):
+    run = copied(never_stopped, tmp_path / "run")
+    with np.load(run / "shown.npz") as arrays:
+        parts = dict(arrays)
+    np.savez(run / "shown.npz", **parts | {"joints": parts["joints"].astype(np.float16)})
+    np.testing.assert_allclose(read_shown(run)[0].joints, read_shown(never_stopped)[0].joints, atol=1e-2)
+
+
 def test_weights_that_are_not_finite_are_told(tmp_path, never_stopped, monkeypatch):
     from safetensors.torch import load_file, save_file
 

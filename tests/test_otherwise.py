@@ -49,6 +49,38 @@ def test_episodes_recorded_otherwise_are_named(tmp_path, change, odd):
     validate(rest.demonstrations, rest.episodes)
 
 
+@pytest.mark.parametrize(
+    ("change", "joint"),
+    [
+        (lambda joints: joints + np.array([0.5, 0]), "shoulder"),
+        (lambda joints: joints * (1, -1), "elbow"),
+        (lambda joints: (0, 1) - joints, ""),
+    ],
+    ids=["an offset", "the other way round", "both"],
+)
+def test_an_arm_that_was_calibrated_anew_in_between_is_told(tmp_path, change, joint):
+    """By one joint that starts elsewhere in the same picture; where several do, nobody can say."""
+    episodes = [(frames, change(joints) if number in ODD else joints) for number, (frames, joints) in enumerate(textured())]
+    found = [each for each in checked(write_v2(tmp_path / "data", episodes)).findings if each.kind is Kind.ZERO]
+    assert [(each.joints, each.episodes) for each in found] == ([((joint,), ODD)] if joint else [])
+
+
+@pytest.mark.parametrize("steps", [slice(0, 2), slice(-1, None), slice(2, 4)], ids=str)
+@pytest.mark.parametrize("odd", [range(8), (3,)], ids=str)
+def test_rows_of_zeros_are_no_joints(tmp_path, steps, odd):
+    episodes = [(frames, joints.copy()) for frames, joints in recorded()]
+    for number in odd:
+        episodes[number][1][steps] = 0
+    data = write_v2(tmp_path / "data", episodes)
+    (finding,) = [each for each in checked(data).findings if each.kind is Kind.UNRECORDED]
+    assert finding.episodes == tuple(odd)
+    assert finding.places == tuple((number, step) for number in odd for step in range(20)[steps])
+    opened = open_recordings(data)
+    with pytest.raises(ValueError, match="all joints are zero at episode") as told:
+        validate(opened.demonstrations, opened.episodes)
+    assert str(told.value) == f"{finding.what}: {finding.help}"
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_sound_recordings_are_left_alone(task):
     demonstrations = record(Arm(), with_frames(TASKS[task], 32), count=8, seed=3)

@@ -18,8 +18,8 @@ import numpy as np
 
 from preimage.examination.findings import Finding, Kind, Severity
 from preimage.examination.goals import coverage, duplicates, spacing, untold
-from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrest
-from preimage.examination.otherwise import Begun, recorded_otherwise
+from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrecorded, unrest
+from preimage.examination.otherwise import Begun, another_zero, recorded_otherwise
 from preimage.examination.pictures import blank, lost, moved, scene, stuck
 from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths, unreadable
 from preimage.examination.seen import RATE_HZ, Seen, look_through
@@ -98,7 +98,7 @@ def validate(demonstrations: Sequence[Demonstration], episodes: Sequence[int]) -
     if not any(np.ptp(one.joints, axis=0).any() for one in demonstrations):
         raise ValueError("no joint ever moves: look whether the joints were recorded")
     begun = [Begun(number, one.joint_names, one.joints, one.frames[0]) for number, one in zip(episodes, demonstrations, strict=True)]
-    for finding in recorded_otherwise(begun):
+    for finding in (*unrecorded(begun), *recorded_otherwise(begun)):
         raise ValueError(f"{finding.what}: {finding.help}")
     seen: list[Seen] = []
     for number, one in zip(episodes, demonstrations, strict=True):
@@ -115,4 +115,4 @@ def _findings(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> list[Finding
     of_arm = [*clock(seen), *frozen(seen), *out_of_range(seen), *jumps(seen), *waits(seen), *unrest(seen)]
     of_camera = [*blank(seen), *stuck(seen), *lost(seen), *stale(seen), *lag(seen), *moved(seen, moves)]
     of_goals = [*duplicates(seen, apart), *untold(seen, moves), *starts(seen), *coverage(seen, apart)]
-    return [*recorded_otherwise(seen), *of_arm, *of_camera, *of_goals, *scene(seen)]
+    return [*unrecorded(seen), *recorded_otherwise(seen), *another_zero(seen), *of_arm, *of_camera, *of_goals, *scene(seen)]

@@ -39,6 +39,8 @@ class Kind(enum.Enum):
     WAITS = "long rest at the start"
     UNREST = "no rest at the end"
     STARTS = "starts differ"
+    ZERO = "another zero"
+    UNRECORDED = "joints not recorded"
     BLANK = "blank frames"
     STUCK = "camera stuck"
     STALE = "stale first frames"

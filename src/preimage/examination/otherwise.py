@@ -4,6 +4,7 @@ Each of them is a recording like any other, and only beside the others it is see
 changes between episodes: how far the joints go, where they start, and what stands in the picture at the start.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -31,6 +32,11 @@ UNLIKE, ALL_OVER = 4.0, 1 / 3
 looks alike both ways says nothing, and a thing that lies on the left in one episode and on the right in the next is no mirror."""
 FITS = 0.5
 """Share of what a picture differs by as it is, which may be left of it the right way round."""
+TWO_PLACES, MOST_COMPARED = 5.0, 20
+"""Times the scatter about two places that lie that far apart, and episodes at each of them that are compared."""
+AS_ALIKE, NOISE = 1.1, 0.2
+"""How many times as much as those of one group, and how many grey levels besides, the pictures of two may differ: a compressor's noise,
+averaged over blocks."""
 LEAST_EPISODES = 3
 """Of two nobody can say which is the odd one."""
 
@@ -106,6 +112,45 @@ def another_order(seen: Sequence[Recorded]) -> Iterator[Finding]:
         moved = [names[column] for column in np.flatnonzero((apart[usual][odd] > OTHER_START).any(0))]
         said = f"{in_episodes(episodes, 'start')} with the numbers of the others in other columns "
         yield _finding(said + f"({', '.join(moved)})", f"put the columns in one order, or {leaving_out(episodes)}", episodes)
+
+
+def another_zero(seen: Sequence[Recorded]) -> Iterator[Finding]:
+    """Some episodes start with one joint at another number, and the picture is the same: the arm was calibrated anew in between.
+
+    No fault, for the joint may be one that the picture does not show.
+    """
+    names, starts = seen[0].joint_names, np.array([one.joints[0] for one in seen])  # (N, J)
+    low, high = np.percentile(np.concatenate([one.joints for one in seen]), [1, 99], axis=0)
+    span = np.where(high > low, high - low, np.inf)
+    for joint, name in enumerate(names):
+        order = np.argsort(starts[:, joint])
+        gaps = np.diff(starts[order, joint])
+        split = int(gaps.argmax()) + 1
+        groups = order[:split], order[split:]
+        scatter = max(float(np.ptp(starts[group], axis=0)[joint]) for group in groups)
+        others = np.abs(np.diff([np.median(starts[group], axis=0) for group in groups], axis=0)[0]) / span
+        others[joint] = 0
+        clear = gaps.max() > max(OTHER_START * span[joint], TWO_PLACES * scatter) and others.max() < SAME_START
+        if clear and _look_alike(seen, *groups):
+            odd, rest = sorted(groups, key=len)
+            episodes = [seen[place].index for place in odd]
+            at, usual = (float(np.median(starts[group, joint])) for group in (odd, rest))
+            what = (
+                f"{in_episodes(episodes, 'start')} with {name} at {at:.3g} where the others have {usual:.3g}, and the picture is the same"
+            )
+            help_ = f"look whether it was calibrated anew in between; where it was, {leaving_out(episodes)}"
+            yield Finding(Kind.ZERO, Severity.WARNING, what, help_, tuple(episodes), joints=(name,))
+
+
+def _look_alike(seen: Sequence[Recorded], some: np.ndarray, others: np.ndarray) -> bool:
+    """Whether the first pictures of two groups differ no more from one another than within the larger group."""
+    larger, smaller = (list(group[:MOST_COMPARED]) for group in sorted((some, others), key=len, reverse=True))
+    first = {place: seen[place].first for place in (*larger, *smaller)}
+    small = {place: _small(picture) for place, picture in first.items() if picture is not None}
+    if len(small) < len(first) or len({each.shape for each in small.values()}) > 1 or len(larger) < LEAST_EPISODES:
+        return False
+    within = np.median([_unlike(small[a], small[b]) for a, b in itertools.combinations(larger, 2)])
+    return bool(np.median([_unlike(small[a], small[b]) for a in larger for b in smaller]) <= AS_ALIKE * within + NOISE)
 
 
 Turned = Callable[[Float32[np.ndarray, "h w c"]], Float32[np.ndarray, "h w c"]]
