@@ -87,7 +87,7 @@ def another_unit(seen: Sequence[Recorded]) -> Iterator[Finding]:
         scaled, same = ((ratios > each / UNIT_WITHIN) & (ratios < each * UNIT_WITHIN) for each in (factor, 1.0))
         if scaled.sum() > same.sum() and (scaled | same).all() and gaps.max() > APART ** (scaled.sum() / len(ratios)):
             odd, are = (large, "larger") if len(large) <= len(small) else (small, "smaller")
-            episodes = [seen[place].index for place in odd]
+            episodes = sorted(seen[place].index for place in odd)
             times = np.median(ratios[scaled])
             said = f"the joints of {in_episodes(episodes)} are about {times:.0f} times {are} than those of the others: {what}"
             yield _finding(said, f"convert them to one unit, or {leaving_out(episodes)}", episodes)
@@ -133,7 +133,7 @@ def another_zero(seen: Sequence[Recorded]) -> Iterator[Finding]:
         clear = gaps.max() > max(OTHER_START * span[joint], TWO_PLACES * scatter) and others.max() < SAME_START
         if clear and _look_alike(seen, *groups):
             odd, rest = sorted(groups, key=len)
-            episodes = [seen[place].index for place in odd]
+            episodes = sorted(seen[place].index for place in odd)
             at, usual = (float(np.median(starts[group, joint])) for group in (odd, rest))
             what = (
                 f"{in_episodes(episodes, 'start')} with {name} at {at:.3g} where the others have {usual:.3g}, and the picture is the same"
