@@ -466,6 +466,11 @@ def test_a_counter_among_the_joints_is_asked_about():
     assert Kind.COUNTER not in found(examine([counting(one) for one in healthy()], joints_chosen=True))
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_few_episodes_are_examined(count):
+    assert examine(healthy()[:count]).trainable
+
+
 @pytest.mark.parametrize("size", [(1, 3), (3, 1), (1, 1)], ids=str)
 def test_pictures_of_one_row_are_examined(size):
     assert examine([replace(one, frames=one.frames[:, : size[0], : size[1]]) for one in healthy()[:3]]).findings

@@ -119,6 +119,8 @@ def another_zero(seen: Sequence[Recorded]) -> Iterator[Finding]:
 
     No fault, for the joint may be one that the picture does not show.
     """
+    if len(seen) < LEAST_EPISODES:
+        return
     names, starts = seen[0].joint_names, np.array([one.joints[0] for one in seen])  # (N, J)
     low, high = np.percentile(np.concatenate([one.joints for one in seen]), [1, 99], axis=0)
     span = np.where(high > low, high - low, np.inf)
