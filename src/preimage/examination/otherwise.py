@@ -101,13 +101,13 @@ def another_order(seen: Sequence[Recorded]) -> Iterator[Finding]:
     span = np.where(high > low, high - low, np.inf)
     starts = np.array([one.joints[0] for one in seen])  # (N, J)
     apart = np.abs(starts[:, None] - starts[None]) / span  # (N, N, J)
-    alike = (apart < SAME_START).all(-1)
+    alike = np.all(apart < SAME_START, axis=-1)
     usual = int(alike.sum(1).argmax())
     widest = span[np.isfinite(span)].max(initial=0)
-    permuted = (np.abs(np.sort(starts) - np.sort(starts[usual])) < SAME_START * widest).all(-1)
+    permuted = np.all(np.abs(np.sort(starts) - np.sort(starts[usual])) < SAME_START * widest, axis=-1)
     odd = permuted & ~alike[usual] & (apart[usual].max(-1) > OTHER_START)
     if odd.any() and odd.sum() < alike[usual].sum() and (~odd & ~alike[usual]).mean() <= MOST_ELSEWHERE:
-        episodes = [seen[place].index for place in np.flatnonzero(odd)]
+        episodes = [seen[place].index for place in np.flatnonzero(odd).tolist()]
         names = seen[0].joint_names
         moved = [names[column] for column in np.flatnonzero((apart[usual][odd] > OTHER_START).any(0))]
         said = f"{in_episodes(episodes, 'start')} with the numbers of the others in other columns "

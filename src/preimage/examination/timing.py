@@ -99,7 +99,7 @@ def _bounds(correlations: Float[np.ndarray, " lags"], best: int, blunt_steps: fl
     least, most = math.ceil(abs(top) - blunt_steps), math.floor(abs(top) + blunt_steps)
     if abs(top) <= blunt_steps:
         return 0, 0
-    return (max(1, least), max(1, most)) if least <= most else (round(abs(top)),) * 2
+    return (max(1, least), max(1, most)) if least <= most else (round(abs(top)), round(abs(top)))
 
 
 def waits(seen: Sequence[Seen]) -> Iterator[Finding]:
