@@ -21,8 +21,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reas
 TRAIN = ["train", "ours", "--out", "new", "--size", "tiny", "--updates", "6", "--checkpoint-every", "2", "--batch-size", "2"]
 BITS = ("model.safetensors", "shown.npz")
 """What has to be equal in every bit; the others hold seconds, and the command line."""
-PLAN = ["plan", "run", "--goal", "ours:1", "--out", "new", "--iterations", "1", "--restarts", "1"]
-EVALUATE = ["evaluate", "run", "--goals", "1", "--out", "new.json", "--iterations", "1", "--restarts", "1"]
+PLAN = ["plan", "run", "--goal", "ours:1", "--out", "new", "--iterations", "1"]
+EVALUATE = ["evaluate", "run", "--goals", "1", "--out", "new.json", "--iterations", "1"]
 
 
 @pytest.fixture(scope="module")
