@@ -3,4 +3,4 @@
 import multiprocessing
 
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["test_checkpoints", "test_experiments"])
+FORKS.set_forkserver_preload(["test_experiments"])

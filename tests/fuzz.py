@@ -11,7 +11,10 @@ of memory; the input is as it was, and nothing half-written is left.
 """
 
 import argparse
+import contextlib
+import gc
 import hashlib
+import io
 import json
 import os
 import re
@@ -264,9 +267,10 @@ class Program:
         assert line, "the program to be forked is gone"
         return json.loads(line)
 
-    def run(self, words: list[str], place: Path) -> Ended:
+    def run(self, words: list[str], place: Path, *, by: int = signal.SIGKILL, after_s: float | None = None) -> Ended:
+        """Run a command; `after_s` seconds from its start it gets the signal `by`, unless it has ended."""
         assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps({"words": words, "place": str(place)}) + "\n")
+        self.process.stdin.write(json.dumps({"words": words, "place": str(place), "by": by, "after_s": after_s}) + "\n")
         self.process.stdin.flush()
         return Ended(**self._read())
 
@@ -310,18 +314,41 @@ def serve(inputs: Path) -> None:
         name = ".".join(room.relative_to(HERE.parent / "src").with_suffix("").parts).removesuffix(".__init__")
         if not name.endswith(("__main__", "gym")):
             import_module(name)
-    import matplotlib.pyplot  # noqa: F401
-
     if not (inputs / "run").exists():
-        made = os.fork()  # what makes inputs may start threads, and a process with threads is not to be forked
-        if not made:
-            make_inputs(inputs)
-            os._exit(0)
-        assert os.waitpid(made, 0)[1] == 0, "the inputs could not be made"
+        make_inputs_elsewhere(inputs)
+    gc.freeze()  # collecting would write to every page that is shared with a fork
     options = {verb: options_of(verb) for verb in VERBS}
     print(json.dumps(options), file=answers, flush=True)
     for line in sys.stdin:
         print(json.dumps(vars(forked(**json.loads(line)))), file=answers, flush=True)
+
+
+def make_inputs_elsewhere(inputs: Path) -> None:
+    """Make the inputs in a fork, for what makes them may start threads, and load what that fork had to load: torch's Adam takes 2 s.
+
+    Figures are drawn here, once: fonts are looked for in the first one.
+    """
+    from importlib import import_module
+
+    receiving, sending = os.pipe()
+    made = os.fork()
+    if not made:
+        make_inputs(inputs)
+        os.write(sending, "\n".join(name for name in sys.modules if not name.startswith("__")).encode())
+        os._exit(0)
+    os.close(sending)
+    with os.fdopen(receiving) as names:
+        loaded = names.read().split("\n")
+    assert os.waitpid(made, 0)[1] == 0, "the inputs could not be made"
+    for name in loaded:
+        if name not in sys.modules:
+            with contextlib.suppress(ImportError):
+                import_module(name)
+    import matplotlib.pyplot as plt
+
+    plt.figure().add_subplot().set_title("Abc 123")
+    plt.savefig(io.BytesIO(), dpi=50)
+    plt.close()
 
 
 def options_of(verb: str) -> list[str]:
@@ -330,7 +357,7 @@ def options_of(verb: str) -> list[str]:
     return sorted(name for name in set(re.findall(r"(?<=[\s│,])--[a-z][a-z0-9.-]*", text)) if not LEFT_OUT.match(name))
 
 
-def forked(words: list[str], place: str) -> Ended:
+def forked(words: list[str], place: str, by: int, after_s: float | None) -> Ended:
     out, err = (tempfile.TemporaryFile() for _ in range(2))  # noqa: SIM115, closed when they were read
     began = time.monotonic()
     child = os.fork()
@@ -342,6 +369,9 @@ def forked(words: list[str], place: str) -> Ended:
         os._exit(code_of(words, place))
     code: int | None = None
     while True:
+        if after_s is not None and time.monotonic() - began >= after_s:
+            os.kill(child, by)
+            after_s = None
         ended, status, usage = os.wait4(child, os.WNOHANG)
         if ended:
             code = os.waitstatus_to_exitcode(status)
@@ -350,7 +380,7 @@ def forked(words: list[str], place: str) -> Ended:
             os.killpg(child, signal.SIGKILL)
             _, _, usage = os.wait4(child, 0)
             break
-        time.sleep(0.01)
+        time.sleep(0.01 if after_s is None else min(0.01, max(0.0, began + after_s - time.monotonic())))
     texts = []
     for file in (out, err):
         file.seek(0)

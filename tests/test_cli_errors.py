@@ -3,10 +3,6 @@
 import json
 import os
 import re
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -168,42 +164,3 @@ def test_a_plan_whose_scene_cannot_be_laid_out(refused, capsys, data, run_folder
     code, sentence = refused("execute", tmp_path / "plan")
     assert code == 2
     assert sentence.startswith("the scene of reach ")
-
-
-# Kills, from outside
-
-
-MAIN = "import sys; from preimage.cli import main; main(sys.argv[1:])"
-
-
-def killed(words, seconds: float) -> int:
-    process = subprocess.Popen([sys.executable, "-c", MAIN, *map(str, words)], stdout=subprocess.DEVNULL)
-    time.sleep(seconds)
-    process.send_signal(signal.SIGKILL)
-    return process.wait()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("verb", ["record", "plan", "evaluate"])
-def test_a_killed_verb_leaves_nothing_half_written(data, run_folder, tmp_path, verb):
-    out = tmp_path / ("out.json" if verb == "evaluate" else "out")
-    words = {
-        "record": ["record", "reach", "--count", 3, "--out", out],
-        "plan": ["plan", run_folder, "--goal", f"{data}:0", "--out", out, *QUICK],
-        "evaluate": ["evaluate", run_folder, "--goals", 1, "--out", out, *QUICK],
-    }[verb]
-    began = time.monotonic()
-    assert subprocess.run([sys.executable, "-c", MAIN, *map(str, words)], capture_output=True, check=False).returncode == 0
-    took, whole = time.monotonic() - began, set(tree(tmp_path))
-    again = [*words, "--overwrite"] if verb == "plan" else words
-    for share in (0.4, 0.7, 0.85, 0.92, 0.97, 1.0):
-        if verb == "record":
-            subprocess.run(["rm", "-r", str(out)], check=False)
-        killed(again, share * took)
-        left = {name for name in tree(tmp_path) if not re.match(r"\.out.*\.part", name)}
-        assert left in (whole, set())
-    if verb == "record" and not out.exists():
-        cli.main(list(map(str, words)))
-    if verb != "record":
-        cli.main(list(map(str, again)))
-    assert set(tree(tmp_path)) == whole

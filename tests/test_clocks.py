@@ -130,6 +130,26 @@ def test_what_counts_down_is_asked_about(tmp_path, name):
     assert finding.what.startswith(f"{name} falls evenly")
 
 
+@pytest.mark.parametrize("interleaved", [False, True])
+@pytest.mark.parametrize(
+    ("beside", "said"),
+    [
+        (lambda joints: 10 * np.gradient(joints, axis=0), "the speeds of "),
+        (lambda joints: np.concatenate([joints[1:], joints[-1:]]), ""),
+        (lambda joints: np.concatenate([joints[:1], joints[:-1]]), ""),
+    ],
+    ids=["speeds", "commands", "the step before"],
+)
+def test_a_half_that_says_the_other_again_is_asked_about(tmp_path, beside, said, interleaved):
+    order = [0, 2, 1, 3] if interleaved else [0, 1, 2, 3]
+    folder = write_v2(tmp_path / "data", [(frames, np.c_[joints, beside(joints)][:, order]) for frames, joints in EIGHT], names=[*"abcd"])
+    positions = ("a", "c") if interleaved else ("a", "b")
+    others = ", ".join(name for name in "abcd" if name not in positions)
+    refused_alike(folder, f"{others} go as {said}{', '.join(positions)} do, .*: leave them out by --view.joints {' '.join(positions)}")
+    assert_read_right(folder, positions, View(joints=positions))
+    assert open_recordings(folder, view=View(joints=tuple("abcd"))).demonstrations[0].joint_names == tuple("abcd")
+
+
 def test_velocities_and_efforts_beside_positions_are_asked_about(tmp_path):
     measured = [(frames, np.c_[joints, 10 * np.gradient(joints, axis=0), np.sin(5 * joints[:, 0])]) for frames, joints in EIGHT]
     names = ["j1.pos", "j2.pos", "j1.vel", "j2.vel", "effort_1"]

@@ -72,6 +72,11 @@ def test_what_is_no_json_object_is_named(tmp_path, content):
         ({"cells": 3}, "cells is 3"),
         ({"cells": [{"loop": "replan", "disturb": 3, "window": 5}]}, "disturb is 3"),
         ({"kind": "ablation", "task": "reach", "num_demonstrations": 100, "loop": "closed", "rows": {"full": {}}}, "full has no success"),
+        (
+            {"kind": "ablation", "task": "reach", "num_demonstrations": 1, "loop": "x", "rows": {}, "paper": {"a": 1}},
+            "paper has no success_rate",
+        ),
+        ({"kind": {}, "cells": 3}, "cells is 3"),
         ({"kind": "trust", "model": "reach", "seed": "5"}, "seed is '5'"),
     ],
 )

@@ -96,9 +96,8 @@ def plan_(
     from preimage.compute.devices import torch_device
     from preimage.compute.precision import describe_precision
     from preimage.compute.threads import choose_threads
-    from preimage.data.angles import unwrapped
     from preimage.data.sources import find_percept
-    from preimage.data.view import unwraps
+    from preimage.data.view import read_through
     from preimage.ideas.waypoints import join
     from preimage.report import figure, film
     from preimage.robot.limits import commands_of, limits_seen, read_limits
@@ -118,7 +117,7 @@ def plan_(
     wanted = [find_percept(each, model.sensors, view=view, default_step=-1) for each in goal]
     goals = [each.percept for each in wanted]
     if goal_joints is not None:
-        goals = [Percept(goals[0].frame, unwrapped(np.array([goal_joints]), model.sensors.joint_names, unwraps(view))[0])]
+        goals = [Percept(goals[0].frame, read_through(view, np.array([goal_joints]), model.sensors.joint_names)[0])]
     planner.validate_goals(goals, source="--goal" if goal_joints is None else "--goal-joints")
     begin = find_percept(start, model.sensors, view=view, default_step=0).percept if start else None
     precision, threads = describe_precision(config.precision, model.home_pixels.device), choose_threads()

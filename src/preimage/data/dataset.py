@@ -27,8 +27,9 @@ from preimage.data.angles import Wrap, find_wraps, unwrapped
 from preimage.data.clocks import is_clock
 from preimage.data.files import leave_out
 from preimage.data.lerobot_info import EXTRAS, INFO
+from preimage.data.quaternions import changes_its_sign, find_quaternions, on_one_side
 from preimage.data.questions import naming, questions_about
-from preimage.data.view import COLOURS, Eye, View, moving, telling_channels, unwraps
+from preimage.data.view import COLOURS, Eye, View, moving, quaternions_of, telling_channels, wraps_of
 from preimage.records import Body, Demonstration, Description, Episode, listed, number_of
 
 __all__ = ["Opened", "describe", "episode_numbers", "fingerprint", "load", "open_recordings", "read_episodes"]
@@ -109,7 +110,11 @@ def open_recordings(
     names = demonstrations[0].joint_names
     if view.joints is None:
         _refuse_what_is_asked(demonstrations, folder)
-    wraps = find_wraps([each.joints for each in demonstrations], names, episodes=numbers) if view.wraps is None else unwraps(view)
+    found = view.wraps is not None  # by the run that the recordings are looked at for
+    recorded = [each.joints for each in demonstrations]
+    quaternions = quaternions_of(view) if found else find_quaternions(recorded, names, episodes=numbers)
+    demonstrations = [replace(each, joints=on_one_side(each.joints, names, quaternions)) for each in demonstrations]
+    wraps = wraps_of(view) if found else find_wraps([each.joints for each in demonstrations], names, episodes=numbers)
     demonstrations = [replace(each, joints=unwrapped(each.joints, names, wraps)) for each in demonstrations]
     joints = view.joints or _chosen_joints(demonstrations, folder)
     if lost := [wrap for wrap in wraps if wrap.impossible and wrap.joint in joints]:
@@ -128,10 +133,13 @@ def open_recordings(
         wraps=tuple(wrap.joint for wrap in kept),
         turns=tuple(wrap.turn for wrap in kept),
         seams=tuple(wrap.seam for wrap in kept),
+        quaternions=tuple(name for each in quaternions for name in each.columns),
+        poles=tuple(number for each in quaternions for number in each.pole),
     )
     tasks = {episode.task for episode in episodes}
     lines = [*_summary(demonstrations, numbers, description, resolved, chosen=view.joints is not None)]
     lines += [reads_past(wrap, len(numbers)) for wrap in kept if wrap.episodes]
+    lines += [changes_its_sign(each, len(numbers)) for each in quaternions if each.episodes]
     return Opened(demonstrations, numbers, resolved, body, tasks.pop() if len(tasks) == 1 else None, tuple(lines))
 
 

@@ -23,6 +23,10 @@ LEAST_STEPS = 10
 """Steps of the median episode from which on an even rise says something: shorter ways are often straight."""
 EVEN = 0.5
 """Share of a column's median step by which nine of ten of its steps may differ, and the median steps of two episodes: clocks jitter."""
+AS_SPEED, BEHIND = 0.9, 3.0
+"""Correlation with another column's step from which on a column is its speed, and steps by which a column may be before or behind another
+that it repeats (root mean square); all of a half have to, for one joint alone may go as fast as another one stands far."""
+LEAST_HALF = 2
 NO_POSITIONS = {
     *("vel", "velocity", "velocities", "speed", "qdot", "acc", "acceleration"),
     *("effort", "efforts", "torque", "torques", "force", "current", "load", "temperature", "voltage"),
@@ -56,9 +60,40 @@ def questions_about(names: Sequence[str], recordings: Sequence[Float[np.ndarray,
     joints = [name for name in others if name not in beside]
     why = "evenly in every episode, as a clock or a counter does"
     asked = [(rising, ("rises", "rise"), why), (falling, ("falls", "fall"), why)]
-    if joints:
+    if joints and not beside:
+        repeated, those = said_again(joints, [each[:, [name in joints for name in names]] for each in recordings])
+        asked.append((repeated, ("goes", "go"), f"as {those} do, and what is learned is commanded"))
+        joints = [name for name in joints if name not in repeated]
+    elif joints:
         asked.append((beside, ("is no position", "are no positions"), "by name, and what is learned is commanded"))
     return [_question(columns, verbs[len(columns) > 1], why, joints) for columns, verbs, why in asked if columns]
+
+
+def said_again(names: Sequence[str], recordings: Sequence[Float[np.ndarray, "_T J"]]) -> tuple[list[str], str]:
+    """The half of the columns that are the speeds of the other half, or repeat it, as commands and the readings of the step before do.
+
+    Returns:
+        Their names, none where there is no such half; and the others, in words.
+
+    >>> way = np.cumsum(np.sin(np.arange(40.0)[:, None] / (3, 5)), axis=0)
+    >>> said_again(("a", "b", "c", "d"), [np.concatenate([way, np.gradient(way, axis=0)], 1)])
+    (['c', 'd'], 'the speeds of a, b')
+    """
+    half = len(names) // 2
+    if half < LEAST_HALF or len(names) % 2 or any(len(each) < LEAST_STEPS for each in recordings):
+        return [], ""
+    joined = np.concatenate(recordings)
+    speeds = np.concatenate([np.gradient(each, axis=0) for each in recordings])
+    if not (np.ptp(joined, axis=0) > 0).all():
+        return [], ""
+    for first, second in ((slice(half), slice(half, None)), (slice(0, None, 2), slice(1, None, 2))):
+        others = ", ".join(names[first])
+        if all(np.corrcoef(one, other)[0, 1] > AS_SPEED for one, other in zip(speeds[:, first].T, joined[:, second].T, strict=True)):
+            return list(names[second]), f"the speeds of {others}"
+        missed, step = np.square(joined[:, second] - joined[:, first]).mean(0), np.square(speeds[:, first]).mean(0)
+        if (missed < BEHIND**2 * step).all():
+            return list(names[second]), others
+    return [], ""
 
 
 def _question(columns: list[str], verb: str, why: str, joints: list[str]) -> Question:

@@ -27,7 +27,8 @@ import tyro
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
-from preimage.data.angles import Wrap
+from preimage.data.angles import Wrap, unwrapped
+from preimage.data.quaternions import NUM_PARTS, Quaternion, on_one_side
 from preimage.network.config import Sensors
 
 LADDER = 16
@@ -74,11 +75,26 @@ class View:
     """A full turn of each of them, in its unit."""
     seams: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
     """The reading above which the first of an episode is taken, for each of them."""
+    quaternions: Annotated[tuple[str, ...], tyro.conf.Suppress] = ()
+    """Names of the columns of quaternions, four for each (`data.quaternions`); the data resolve it."""
+    poles: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
+    """The reading on whose side the first of an episode is taken, four numbers for each."""
 
 
-def unwraps(view: View) -> list[Wrap]:
+def wraps_of(view: View) -> list[Wrap]:
     """How the view unwraps joints."""
     return [Wrap(*wrap) for wrap in zip(view.wraps or (), view.turns, view.seams, strict=True)]
+
+
+def quaternions_of(view: View) -> list[Quaternion]:
+    """On which side the view keeps quaternions."""
+    parts = [slice(begin, begin + NUM_PARTS) for begin in range(0, len(view.quaternions), NUM_PARTS)]
+    return [Quaternion(view.quaternions[each], view.poles[each]) for each in parts]
+
+
+def read_through(view: View, joints: Float[np.ndarray, "T J"], names: Sequence[str]) -> Float[np.ndarray, "T J"]:
+    """The joints of an episode, or of one step, as a resolved view reads them: angles unwrapped, quaternions on one side."""
+    return unwrapped(on_one_side(joints, names, quaternions_of(view)), names, wraps_of(view))
 
 
 def default_size(height: int, width: int) -> tuple[int, int]:

@@ -18,8 +18,9 @@ import numpy as np
 
 from preimage.examination.findings import Finding, Kind, Severity
 from preimage.examination.goals import coverage, duplicates, spacing, untold
-from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrest
-from preimage.examination.pictures import blank, moved, scene, stuck
+from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrecorded, unrest
+from preimage.examination.otherwise import Begun, another_zero, recorded_otherwise
+from preimage.examination.pictures import blank, lost, moved, scene, stuck
 from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths, unreadable
 from preimage.examination.seen import RATE_HZ, Seen, look_through
 from preimage.examination.selection import clocks, gaps, tasks, unwrap
@@ -91,10 +92,14 @@ def validate(demonstrations: Sequence[Demonstration], episodes: Sequence[int]) -
         episodes: their numbers.
 
     Raises:
-        ValueError: no joint moves, no frame shows anything, or the camera stands still while the arm moves.
+        ValueError: no joint moves, no frame shows anything, the camera stands still while the arm moves, or some episodes were recorded
+            otherwise than the rest.
     """
     if not any(np.ptp(one.joints, axis=0).any() for one in demonstrations):
         raise ValueError("no joint ever moves: look whether the joints were recorded")
+    begun = [Begun(number, one.joint_names, one.joints, one.frames[0]) for number, one in zip(episodes, demonstrations, strict=True)]
+    for finding in (*unrecorded(begun), *recorded_otherwise(begun)):
+        raise ValueError(f"{finding.what}: {finding.help}")
     seen: list[Seen] = []
     for number, one in zip(episodes, demonstrations, strict=True):
         seen.append(look_through(Episode(number, one.frames, one.joints, one.joint_names, None, len(one), one.rate_hz, None)))
@@ -108,5 +113,6 @@ def validate(demonstrations: Sequence[Demonstration], episodes: Sequence[int]) -
 def _findings(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> list[Finding]:
     apart = spacing(seen)
     of_arm = [*clock(seen), *frozen(seen), *out_of_range(seen), *jumps(seen), *waits(seen), *unrest(seen)]
-    of_camera = [*blank(seen), *stuck(seen), *stale(seen), *lag(seen), *moved(seen, moves)]
-    return [*of_arm, *of_camera, *duplicates(seen, apart), *untold(seen, moves), *starts(seen), *coverage(seen, apart), *scene(seen)]
+    of_camera = [*blank(seen), *stuck(seen), *lost(seen), *stale(seen), *lag(seen), *moved(seen, moves)]
+    of_goals = [*duplicates(seen, apart), *untold(seen, moves), *starts(seen), *coverage(seen, apart)]
+    return [*unrecorded(seen), *recorded_otherwise(seen), *another_zero(seen), *of_arm, *of_camera, *of_goals, *scene(seen)]

@@ -26,7 +26,9 @@ class Kind(enum.Enum):
     TASKS = "several tasks"
     COUNTER = "columns that are no joints"
     WRAPS = "angles that wrap"
+    SIGN = "quaternions that change their sign"
     UNLIKE = "episodes unlike each other"
+    OTHERWISE = "episodes recorded otherwise"
     LENGTHS = "missing or extra frames"
     DURATION = "unusual duration"
     CLOCK = "uneven clock"
@@ -37,6 +39,8 @@ class Kind(enum.Enum):
     WAITS = "long rest at the start"
     UNREST = "no rest at the end"
     STARTS = "starts differ"
+    ZERO = "another zero"
+    UNRECORDED = "joints not recorded"
     BLANK = "blank frames"
     STUCK = "camera stuck"
     STALE = "stale first frames"
@@ -67,13 +71,15 @@ class Finding:
         return f"{self.severity.value}: {self.kind.value}: {self.what}{f'; {self.help}' if self.help else ''}"
 
 
-def in_episodes(episodes: Iterable[int]) -> str:
-    """
-    >>> in_episodes([4]), in_episodes([4, 5])
-    ('episode 4', 'episodes 4, 5')
+def in_episodes(episodes: Iterable[int], do: str = "") -> str:
+    """The episodes by their numbers, and what they do.
+
+    >>> in_episodes([4]), in_episodes([4, 5], "lack"), in_episodes([4], "lack")
+    ('episode 4', 'episodes 4, 5 lack', 'episode 4 lacks')
     """
     chosen = sorted(set(episodes))
-    return f"episode{'s' if len(chosen) != 1 else ''} {listed(chosen)}"
+    one = len(chosen) == 1
+    return f"episode{'' if one else 's'} {listed(chosen)}" + (f" {do}{'s' if one else ''}" if do else "")
 
 
 def leaving_out(episodes: Iterable[int], most: int = 12) -> str:

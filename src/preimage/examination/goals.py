@@ -53,7 +53,7 @@ def duplicates(seen: Sequence[Seen], apart: Spacing) -> Iterator[Finding]:
     if not repeated:
         return
     pairs = [f"{seen[a].index} and {seen[b].index}" for a, b in np.argwhere(same)[:4]]
-    what = f"{in_episodes(repeated)} end where an earlier one ends ({', '.join(pairs)}): {len(seen) - len(repeated)} different goals"
+    what = f"{in_episodes(repeated, 'end')} where an earlier one ends ({', '.join(pairs)}): {len(seen) - len(repeated)} different goals"
     yield Finding(Kind.DUPLICATES, Severity.WARNING, what, "spread the goals over the whole room", tuple(repeated))
 
 

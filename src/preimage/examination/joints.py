@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from preimage.data.joint_range import FULL_TURN_RAD
 from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, leaving_out
+from preimage.examination.otherwise import Recorded
 from preimage.examination.seen import Seen, divisors, spans
 from preimage.records import listed
 
@@ -18,6 +19,8 @@ LEAP = 4.0
 """Times faster than every ordinary step: the fastest steps of a real hand differ from the next by up to two."""
 LEAP_SHARE = 0.005
 """Glitches are rare: what happens in more than one of two hundred steps is how this joint moves, a gripper that snaps shut."""
+FAR = 0.1
+"""Share of a joint's span that it goes at once where a row of zeros begins or ends: the fastest hands go less in a step."""
 REST = 0.25
 """Share of an episode's own top speed below which its end counts as rest: what a demonstrator's wobble and a let-go reach."""
 STARTS = 0.05
@@ -35,6 +38,31 @@ def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
         what = f"{', '.join(names)} hold no number at {at_places(places)}"
         episodes = episodes_of(places)
         yield Finding(Kind.NOT_FINITE, Severity.FAULT, what, leaving_out(episodes), episodes, tuple(places), names)
+
+
+def unrecorded(seen: Sequence[Recorded]) -> Iterator[Finding]:
+    """Steps at which every joint is zero to the last digit, and far from the next: the recorder ran and the robot did not answer."""
+    joined = np.concatenate([one.joints for one in seen])
+    low, high = np.percentile(joined, [1, 99], axis=0)
+    if joined.shape[1] < 2 or not (high > low).any():
+        return
+    scale, places = np.where(high > low, high - low, np.inf), []
+    for one in seen:
+        zero = (one.joints == 0).all(1)
+        leaps = (np.abs(np.diff(one.joints, axis=0)) / scale).max(1, initial=0) > FAR
+        borders = zero[1:] != zero[:-1]
+        if borders.any() and leaps[borders].all():
+            places += [(one.index, int(step)) for step in np.flatnonzero(zero)]
+    if places:
+        episodes = episodes_of(places)
+        what = f"all joints are zero at {at_places(places)}, far from where they are beside it: the robot did not answer there"
+        yield Finding(
+            Kind.UNRECORDED,
+            Severity.FAULT,
+            what,
+            f"take these rows and their pictures out, or {leaving_out(episodes)}",
+            *(episodes, tuple(places)),
+        )
 
 
 def frozen(seen: Sequence[Seen]) -> Iterator[Finding]:

@@ -33,7 +33,7 @@ def alike(seen: Sequence[Seen]) -> tuple[list[Seen], list[Finding]]:
     others = [index for index, kind in kinds.items() if kind != usual[0][0]]
     if not others:
         return list(seen), []
-    what = f"{in_episodes(others)} differ from the others in frame size, rate or joints"
+    what = f"{in_episodes(others, 'differ')} from the others in frame size, rate or joints"
     found = Finding(Kind.UNLIKE, Severity.FAULT, what, f"record all with one setting, or {leaving_out(others)}", tuple(others))
     return [one for one in seen if one.index not in others], [found]
 
@@ -42,7 +42,7 @@ def unreadable(seen: Sequence[Seen]) -> Iterator[Finding]:
     broken = [one for one in seen if one.unreadable]
     if broken:
         count = sum(len(one.unreadable) for one in broken)
-        what = f"{in_episodes(one.index for one in broken)} lack {number_of(count, 'part')}, the first: {broken[0].unreadable[0]}"
+        what = f"{in_episodes((one.index for one in broken), 'lack')} {number_of(count, 'part')}, the first: {broken[0].unreadable[0]}"
         episodes = tuple(one.index for one in broken)
         help_ = "mend them" if len(broken) == len(seen) else f"mend them, or {leaving_out(episodes)}"
         yield Finding(Kind.UNREADABLE, Severity.FAULT, what, help_, episodes)
@@ -65,7 +65,7 @@ def durations(seen: Sequence[Seen]) -> Iterator[Finding]:
     few = [one for one in seen if min(one.num_steps, one.num_frames) < LEAST_STEPS]
     empty = [one.index for one in few if not one.unreadable]
     if empty:
-        what = f"{in_episodes(empty)} hold fewer than {LEAST_STEPS} steps"
+        what = f"{in_episodes(empty, 'hold')} fewer than {LEAST_STEPS} steps"
         yield Finding(Kind.DURATION, Severity.FAULT, what, leaving_out(empty), tuple(empty))
     whole = [one for one in seen if one not in few]
     if not whole:
@@ -73,7 +73,7 @@ def durations(seen: Sequence[Seen]) -> Iterator[Finding]:
     usual = float(np.median([one.num_steps for one in whole]))
     odd = {one.index: one.num_steps for one in whole if not usual / UNUSUAL <= one.num_steps <= usual * UNUSUAL}
     if odd:
-        what = f"{in_episodes(odd)} last {min(odd.values())} to {max(odd.values())} steps, the median is {usual:g}"
+        what = f"{in_episodes(odd, 'last')} {min(odd.values())} to {max(odd.values())} steps, the median is {usual:g}"
         yield Finding(Kind.DURATION, Severity.WARNING, what, "look whether they were cut off or left running", tuple(odd))
 
 

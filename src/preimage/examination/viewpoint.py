@@ -72,7 +72,7 @@ def stretches(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> list[list[in
 
 def _compare(before: Seen, after: Seen) -> CameraMove | None:
     steady = (before.unsteady < STEADY) & (after.unsteady < STEADY)
-    if steady.mean() < LEAST_STEADY:
+    if min(steady.shape) < 2 or steady.mean() < LEAST_STEADY:  # in a row of pixels nothing has an edge
         return None
     difference = _difference(after.background - before.background, steady)
     shift = find_shift(before.background, after.background, steady)

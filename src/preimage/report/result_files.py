@@ -15,6 +15,7 @@ Results = Sequence[Mapping[str, Any]]
 Number, Pair = float, tuple[float, float]
 COUNTED = {"success": int, "goals": int, "interval": Pair}
 """Shapes of what is read: the type of each entry, `?` after a name that may be missing, `*` for names of any kind."""
+PAPER = {"success_rate": Number, "*": Number}
 EVALUATION = COUNTED | {
     "task": str,
     "loop": str,
@@ -27,7 +28,7 @@ EVALUATION = COUNTED | {
     "num_demonstrations?": int,
     "training_seed?": int,
     "trained_on?": str,
-    "paper?": {"success_rate": Number, "*": Number},
+    "paper?": PAPER,
     "pixels?": int,
     "training_seconds?": Number,
     "provenance?": Mapping,
@@ -68,7 +69,7 @@ TRAINING = {"measured_updates": int, "updates": int, "task": str, "minutes_extra
 WHOLE, START_UP = {"whole_training": TRAINING}, {"start_up": {"import_s": Number, "import_all_s": Number, "help_s": Number}}
 AMOUNTS = {"*": Number}
 ROW = COUNTED | {"deviation_cm": Number, "seconds": Number, "iterations": Number, "gained?": int, "lost?": int, "p?": Number}
-ABLATION = {"task": str, "num_demonstrations": int, "loop": str, "rows": {"*": ROW}}
+ABLATION = {"task": str, "num_demonstrations": int, "loop": str, "rows": {"*": ROW}, "paper?": PAPER}
 REFUSED = {"refused": int, "goals": int, "interval": Pair}
 TRUST = {
     "model": str,
@@ -142,7 +143,8 @@ def shapes_of(found: Mapping[str, Any]) -> list[dict[str, Any]]:
     known |= {"whole_training": WHOLE, "start_up": START_UP}
     shapes = [shape for name, shape in known.items() if name in found]
     kinds = {"held-out": HELD_OUT, "ablation": ABLATION, "trust": TRUST}
-    shapes += [kinds[kind]] if (kind := found.get("kind")) in kinds else []
+    kind = found.get("kind")
+    shapes += [kinds[kind]] if isinstance(kind, str) and kind in kinds else []
     return shapes + ([EVALUATION] if is_evaluation(found) else [])
 
 

@@ -114,7 +114,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
             raise ValueError(f"{name} holds no numbers")
         if not np.isfinite(value).all():
             raise ValueError(f"{name} holds numbers that are not finite")
-        if value.dtype.kind == "f" and max(value.max(initial=0), -value.min(initial=0)) > LARGEST_VALUE:
+        if value.dtype.kind == "f" and float(max(value.max(initial=0), -value.min(initial=0))) > LARGEST_VALUE:
             raise ValueError(f"{name} holds numbers beyond {LARGEST_VALUE:.1g}")
     return found
 

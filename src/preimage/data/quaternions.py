@@ -1,0 +1,104 @@
+"""Quaternions whose sign flips: q and -q are the same attitude of a hand, and a tracker may go from one to the other between two readings.
+
+Four neighbouring columns whose squares add up to one at every step are a quaternion, whatever they are called and whichever part comes
+first. All episodes begin on one side, that of a pole, and each reading is on the side of the one before.
+
+>>> half = np.linspace(0.0, 0.6, 13)
+>>> way = np.stack([np.sin(half), 0 * half, 0 * half, np.cos(half)], 1)
+>>> flipped = np.where(np.arange(13)[:, None] < 6, way, -way)
+>>> names = ("qx", "qy", "qz", "qw")
+>>> (found,) = find_quaternions([way, flipped, way], names)
+>>> found.episodes, bool(np.allclose(on_one_side(flipped, names, [found]), way))
+((1,), True)
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from preimage.data.clocks import words_of
+from preimage.records import listed, number_of
+
+NUM_PARTS = 4
+OFF_ONE = 0.01
+"""By which the squares may miss one: three digits of each part do. Four joints that are no quaternion miss it within a few steps."""
+LEAST_PARTS_THAT_MOVE = 3
+"""Of four that are not called a quaternion: cosine and sine of one angle beside two columns of zeros add up to one, too."""
+PARTS = {"w", "x", "y", "z", "qw", "qx", "qy", "qz"}
+WORDS = ("quat", "rot", "orientation", "attitude")
+"""What the names of a quaternion begin with."""
+
+
+@dataclass(frozen=True)
+class Quaternion:
+    """Four columns that are one."""
+
+    columns: tuple[str, ...]
+    pole: tuple[float, ...]
+    """The first reading of an episode is taken on the side of this one, in the same order."""
+    episodes: tuple[int, ...] = field(default=(), compare=False)
+    """Those in which a sign is changed by it."""
+
+
+def find_quaternions(
+    recordings: Sequence[Float[np.ndarray, "_T J"]], names: Sequence[str], *, episodes: Sequence[int] | None = None
+) -> list[Quaternion]:
+    """The quaternions among the columns.
+
+    Args:
+        episodes: numbers of the recordings; by default they are counted from 0.
+    """
+    numbers = range(len(recordings)) if episodes is None else episodes
+    whole = {number: joints for number, joints in zip(numbers, recordings, strict=True) if len(joints)}
+    found: list[Quaternion] = []
+    begin = 0
+    while whole and begin + NUM_PARTS <= len(names):
+        columns = slice(begin, begin + NUM_PARTS)
+        readings = {number: joints[:, columns] for number, joints in whole.items()}
+        if _is_quaternion(np.concatenate(list(readings.values())), names[columns]):
+            pole = _pole(list(readings.values()))
+            changed = [number for number, each in readings.items() if (_signs(each, pole) < 0).any()]
+            found.append(Quaternion(tuple(names[columns]), tuple(pole.tolist()), tuple(changed)))
+            begin += NUM_PARTS - 1
+        begin += 1
+    return found
+
+
+def on_one_side(joints: Float[np.ndarray, "T J"], names: Sequence[str], quaternions: Sequence[Quaternion]) -> Float[np.ndarray, "T J"]:
+    """The joints of an episode, or of one step, with the signs of the quaternions that are whole among them."""
+    joints = joints.copy() if quaternions else joints
+    for each in quaternions:
+        if len(joints) and set(each.columns) <= set(names):
+            columns = [list(names).index(name) for name in each.columns]
+            joints[:, columns] *= _signs(joints[:, columns], np.array(each.pole))[:, None]
+    return joints
+
+
+def changes_its_sign(quaternion: Quaternion, num_episodes: int) -> str:
+    """A sentence on a quaternion whose signs were changed."""
+    count = f"{len(quaternion.episodes)} of {number_of(num_episodes, 'episode')} ({listed(quaternion.episodes)})"
+    return f"{', '.join(quaternion.columns)} are a quaternion, which changes its sign without turning, in {count}: it is kept on one side"
+
+
+def _is_quaternion(readings: Float[np.ndarray, "T 4"], names: Sequence[str]) -> bool:
+    if not np.isfinite(readings).all() or np.abs(np.square(readings).sum(1) - 1).max() > OFF_ONE:
+        return False
+    words = [words_of(name) for name in names]
+    named = all(each and (each[-1] in PARTS or each[0].startswith(WORDS)) for each in words)
+    return named or int((np.ptp(readings, axis=0) > OFF_ONE).sum()) >= LEAST_PARTS_THAT_MOVE
+
+
+def _pole(readings: Sequence[Float[np.ndarray, "_T 4"]]) -> Float[np.ndarray, " 4"]:
+    """The direction about which the starts lie, on the side on which most readings stay as they are."""
+    starts = np.array([each[0] for each in readings])
+    pole = np.linalg.eigh(starts.T @ starts)[1][:, -1]
+    kept = sum(float(_signs(each, pole).sum()) for each in readings)
+    return pole if kept >= 0 else -pole
+
+
+def _signs(readings: Float[np.ndarray, "T 4"], pole: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " T"]:
+    """By what each reading is multiplied, 1 or -1."""
+    follows = np.sum(readings * np.concatenate([pole[None], readings[:-1]]), axis=1)
+    return np.cumprod(np.where(follows < 0, -1.0, 1.0))
