@@ -9,10 +9,11 @@ import torch
 from bars import FULL, PAPER, bar, objective_of, problem_to
 from preimage.ideas.belief import Belief
 from preimage.ideas.last_look import LastLook
+from preimage.ideas.leg import nearest_step
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.moved_things import MovedThings
 from preimage.ideas.replan_config import ReplanConfig
-from preimage.ideas.replanning import Replanner, nearest_step
+from preimage.ideas.replanning import Replanner
 from preimage.ideas.timed_search import ByGaussNewton, Clock, Solution, by_adam
 from preimage.ideas.underway import Sensed, Underway, Window
 from preimage.method.prediction_error import sequence_error
