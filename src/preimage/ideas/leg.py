@@ -58,13 +58,17 @@ class Leg:
         return leg
 
     def turned(self, problem: Problem, joints: Float[np.ndarray, " J"]) -> "Leg":
-        """To another goal from under way: the way there, from the same start, is entered where it passes nearest to the robot."""
+        """To another goal from under way: the way there, from the same start, is entered where it passes nearest to the robot.
+
+        It begins at the first guess of a plan or at the last solution, whichever is nearer to the goal; where there is no time to compare
+        them, at the first guess.
+        """
         other = Leg(replace(problem, start=self.problem.start), self._ideas, self._clock, enough=self._enough)
         guesses = [self.solution.points]
         if self._ideas.initial_guess is not None:
             generator = torch.Generator().manual_seed(problem.config.search_seed)
-            guesses.append(self._ideas.initial_guess(other.problem, other.to_goal, generator))
-        points = torch.cat(guesses)
+            guesses.insert(0, self._ideas.initial_guess(other.problem, other.to_goal, generator))
+        points = torch.cat(guesses)[: max(1, self._clock.room)]
         imagined = self._clock.imagine(other.problem, points)
         best = other.to_goal.errors(imagined)[0].argmin()[None]
         other.solution = Solution(points[best], Generated(imagined.pixels[best], imagined.log_codes[best]))

@@ -101,7 +101,10 @@ class Replanner:
         return Imagined(leg.solution.generated, leg.way.joints, min(leg.at, leg.way.arrival), leg.way.arrival)
 
     def change_goal(self, goal: Percept) -> None:
-        """Another goal is wanted in place of the one that the robot is on its way to; it need not stop for that."""
+        """Another goal is wanted in place of the one that the robot is on its way to; it need not stop for that.
+
+        Where a step has no time for it the robot goes on as it was, and turns at the next; at rest it takes the time that it takes.
+        """
         self._next_goal = goal
 
     @torch.no_grad()
@@ -118,15 +121,14 @@ class Replanner:
             leg = self._begin(percept)
         else:
             self._remember(leg, percept)
-            if self._next_goal is not None:
+            if self._next_goal is not None and (self._clock.room or leg.has_arrived):
                 leg = self._turn(leg, self._next_goal)
             elif leg.has_arrived and not self._looks_left and self._goals:
                 leg = self._begin(Percept(self._last_frame, percept.joints))
-        self._next_goal = None
         scene = self._see_what_moved(leg)
         leg = leg if scene is None else self._set_out(leg.from_another_scene(scene))
         window = self._window(leg)
-        if window is not None and not leg.has_arrived:
+        if window is not None and not leg.has_arrived and self._next_goal is None:
             leg.improve(window, rounds=self.settings.rounds)
         return self._decide(leg, window, scene is not None)
 
@@ -166,6 +168,7 @@ class Replanner:
 
     def _turn(self, leg: Leg, goal: Percept) -> Leg:
         """To another goal from under way."""
+        self._next_goal = None
         problem = Problem.between(self._model, Percept(self._last_frame, self._joints), goal, leg.problem.config)
         return self._set_out(leg.turned(problem, self._joints))
 
@@ -203,7 +206,7 @@ class Replanner:
             moved=moved,
             num_imagined=self._clock.num_imagined,
             seconds=self._clock.spent_s,
-            done=self._held is not None or (not self._goals and is_through),
+            done=self._held is not None or (is_through and not self._goals and self._next_goal is None),
             held=self._held,
         )
 
