@@ -255,6 +255,14 @@ def test_it_stops_where_it_does_not_believe_and_stays_there(planner: Planner, fo
     np.testing.assert_array_equal(three.command, elsewhere.joints)
 
 
+def test_a_robot_that_does_not_come_along_is_not_believed_to(planner: Planner, found: Plan) -> None:
+    replanner = planner.replanner(goals=[found.goal], found=found, settings=replace(PATIENT, window=1, rounds=0))
+    doubts = [replanner(bar(0.8).first).doubt for _ in range(found.arrival_step)]
+    assert doubts == sorted(doubts)
+    assert doubts[0] < 0.05
+    assert doubts[-1] > 0.5
+
+
 def test_a_plan_that_is_refused_is_not_begun(planner: Planner, found: Plan) -> None:
     replanner = planner.replanner(goals=[found.goal], found=found, settings=PATIENT, refuse=lambda plan: "not to be trusted")
     (belief,) = run(replanner)
@@ -264,7 +272,8 @@ def test_a_plan_that_is_refused_is_not_begun(planner: Planner, found: Plan) -> N
 
 @pytest.mark.parametrize("robot", [{"latency": 1}, {"slow": 1}, {"drop_every": 3}, {"latency": 1, "slow": 1, "drop_every": 3}])
 def test_a_robot_that_is_late_or_blind_at_times_arrives(planner: Planner, found: Plan, robot: dict[str, int]) -> None:
-    beliefs = run(planner.replanner(goals=[found.goal], found=found, settings=PATIENT), FakeRobot(**robot))
+    settings = replace(PATIENT, disbelief=0.8)  # of a way of six steps, two are much
+    beliefs = run(planner.replanner(goals=[found.goal], found=found, settings=settings), FakeRobot(**robot))
     assert beliefs[-1].done
     assert beliefs[-1].held is None
     assert beliefs[-1].command[0] == pytest.approx(0.8, abs=0.15)

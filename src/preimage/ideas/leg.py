@@ -105,6 +105,12 @@ class Leg:
         return self.at >= self.way.arrival
 
     @property
+    def error_of_staying(self) -> float:
+        """The most that a window would show of a robot that stays at the start while it is taken to go."""
+        steps = range(self.way.arrival + 1)
+        return max(Window.of([Sensed(step, *self.problem.start, True)]).errors(self.solution.generated).item() for step in steps)
+
+    @property
     def ranges(self) -> Float[np.ndarray, " J"]:
         """Those of the joints."""
         sensors = self.problem.model.sensors

@@ -108,19 +108,22 @@ class Replanner:
         self._next_goal = goal
 
     @torch.no_grad()
-    def __call__(self, percept: Percept) -> Belief:
+    def __call__(self, percept: Percept, *, num_steps: int = 1) -> Belief:
         """What to do next, given what is sensed now. A frame that did not come is done without.
+
+        Args:
+            num_steps: steps since it was last asked, for whoever goes several of them between two looks.
 
         Raises:
             ValueError: a percept does not fit the model, has no joints, or is the first and has no frame.
         """
         self._clock.begin()
-        self._step += 1
+        self._step += num_steps if self._leg else 1
         leg = self._leg
         if leg is None:
             leg = self._begin(percept)
         else:
-            self._remember(leg, percept)
+            self._remember(leg, percept, num_steps)
             if self._next_goal is not None and (self._clock.room or leg.has_arrived):
                 leg = self._turn(leg, self._next_goal)
             elif leg.has_arrived and not self._looks_left and self._goals:
@@ -153,11 +156,11 @@ class Replanner:
         self._offset = np.zeros(self._model.sensors.num_joints)
         return leg
 
-    def _remember(self, leg: Leg, percept: Percept) -> None:
-        """A step later; joints are those that the network would feel, had nothing been corrected."""
+    def _remember(self, leg: Leg, percept: Percept, num_steps: int) -> None:
+        """Some steps later; joints are those that the network would feel, had nothing been corrected."""
         if percept.joints is None:
             raise ValueError("the percept has no joints: without them there is no telling where the robot is")
-        leg.at += 1
+        leg.at += num_steps
         seen = percept.frame is not None
         self._last_frame = percept.frame if seen else self._last_frame
         self._was, self._joints = self._joints, percept.joints
@@ -185,11 +188,11 @@ class Replanner:
     def _decide(self, leg: Leg, window: Window | None, moved: bool) -> Belief:
         """The next command, and what is believed."""
         way, window_error = leg.way, 0.0 if window is None else window.errors(leg.solution.generated).item()
-        doubt = window_error / max(leg.to_goal.to_explain, 1e-9)
+        doubt = window_error / max(leg.error_of_staying, 1e-9)
         self._num_doubts = self._num_doubts + 1 if doubt > self.settings.disbelief else 0
         self._stay = self._stay if self._held else self._joints
         if self._num_doubts >= self.settings.patience and self._held is None:
-            shares = f"{100 * doubt:.0f} % of the error of staying at the start, for {self._num_doubts} steps"
+            shares = f"{100 * doubt:.0f} % of the error of never leaving the start, for {self._num_doubts} steps"
             self._held = f"what is sensed is not what is imagined ({shares}, {100 * self.settings.disbelief:.0f} % are believed)"
         if leg.has_arrived and leg.sensed and self._held is None:
             self._look_once_more(leg)
