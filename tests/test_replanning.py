@@ -270,6 +270,13 @@ def test_a_plan_that_is_refused_is_not_begun(planner: Planner, found: Plan) -> N
     np.testing.assert_array_equal(belief.command, np.zeros(2))
 
 
+def test_the_errors_of_a_windows_steps_are_those_of_windows_of_one_step(trained: PDVMRNN) -> None:
+    problem = problem_to(trained, bar(0.9))
+    generated, steps = problem.imagine(problem.space.intention(problem.space.training[:1]), 6), [1, 3, 4]
+    alone = [window_of(bar(0.6), [step], trained).errors(generated)[0] for step in steps]
+    torch.testing.assert_close(window_of(bar(0.6), steps, trained).errors_by_step(generated)[0], torch.stack(alone))
+
+
 @pytest.mark.parametrize("robot", [{"latency": 1}, {"slow": 1}, {"drop_every": 3}, {"latency": 1, "slow": 1, "drop_every": 3}])
 def test_a_robot_that_is_late_or_blind_at_times_arrives(planner: Planner, found: Plan, robot: dict[str, int]) -> None:
     settings = replace(PATIENT, disbelief=0.8)  # of a way of six steps, two are much

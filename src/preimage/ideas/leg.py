@@ -107,8 +107,8 @@ class Leg:
     @property
     def error_of_staying(self) -> float:
         """The most that a window would show of a robot that stays at the start while it is taken to go."""
-        steps = range(self.way.arrival + 1)
-        return max(Window.of([Sensed(step, *self.problem.start, True)]).errors(self.solution.generated).item() for step in steps)
+        stayed = [Sensed(step, *self.problem.start, True) for step in range(self.way.arrival + 1)]
+        return Window.of(stayed).errors_by_step(self.solution.generated).max().item()
 
     @property
     def ranges(self) -> Float[np.ndarray, " J"]:
