@@ -83,7 +83,7 @@ def test_possible_goals_are_refused_as_seldom_as_is_said() -> None:
 
 
 def test_too_few_goals_or_goals_of_different_kinds_are_refused() -> None:
-    with pytest.raises(ValueError, match="2 possible goals cannot calibrate anything: give 3 or more"):
+    with pytest.raises(ValueError, match="2 goals that were reached cannot calibrate anything: give 3 or more"):
         Calibration.of([{"a": 0.0}] * 4, [True] * 4, possible=[True, True, False, False])
     with pytest.raises(ValueError, match="the goals have different evidence"):
         Calibration.of([{"a": 0.0}, {"b": 0.0}], [True] * 2, possible=[True] * 2)

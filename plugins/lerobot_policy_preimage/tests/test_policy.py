@@ -13,6 +13,7 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_policy_preimage import PreimageConfig, PreimagePolicy
 from lerobot_policy_preimage.modeling_preimage import options_of
+from preimage.ideas.replanning import Replanner
 from preimage.ideas.trust import Assessment
 from preimage.network.inputs import home
 from preimage.presets import Planner, PlanOptions
@@ -23,7 +24,8 @@ CAMERA, GOAL = "observation.images.camera", "observation.images.goal"
 
 
 def settings(**more) -> PreimageConfig:
-    return PreimageConfig(run="reach", device="cpu", fps=5.0, iterations=1, restarts=0, **more)
+    """Two calls a step of the run; the robots of these tests do not move, so that most of them had better not look."""
+    return PreimageConfig(run="reach", device="cpu", fps=5.0, iterations=1, restarts=0, **{"n_action_steps": 0} | more)
 
 
 def pictures(frames) -> torch.Tensor:
@@ -93,6 +95,35 @@ def test_the_arm_is_held_where_the_goal_is_refused(observation, monkeypatch, cap
     assert (way.shape[1] == 1) != anyway
     assert torch.equal(way[:, -1], observation[OBS_STATE].float()) != anyway
     assert ("the goal is refused: the goal is off what was demonstrated" in caplog.text) != anyway
+
+
+@pytest.mark.parametrize(("n_action_steps", "calls_a_look"), [(1, 2), (2, 2), (4, 4), (0, 99)])
+def test_it_looks_as_often_as_is_said_and_not_between_steps(observation, monkeypatch, n_action_steps, calls_a_look):
+    looks, original = [], Replanner.__call__
+    monkeypatch.setattr(Replanner, "__call__", lambda self, percept, **how: looks.append(1) or original(self, percept, **how))
+    policy = PreimagePolicy(settings(n_action_steps=n_action_steps))
+    for call in range(5):
+        act(policy, observation)
+        assert len(looks) == 2 * (1 + call // calls_a_look)  # two robots
+
+
+def test_an_arm_that_sees_what_it_does_not_believe_is_held(observation, caplog):
+    policy = PreimagePolicy(settings(n_action_steps=1))
+    first = act(policy, observation)
+    assert (first - observation[OBS_STATE]).abs().max() > 0
+    elsewhere = observation | {CAMERA: 1 - observation[CAMERA]}
+    actions = [act(policy, elsewhere) for _ in range(12)]
+    assert "what is sensed is not what is imagined" in caplog.text
+    torch.testing.assert_close(actions[-1], observation[OBS_STATE].float())
+
+
+def test_a_refused_goal_holds_the_arm_from_the_first_action_on(observation, monkeypatch, caplog):
+    refused = Trust(0.01, True, ("the goal is off what was demonstrated",), "calibrated by 60 goals")
+    monkeypatch.setattr(Assessment, "__call__", lambda self, plan: refused)
+    policy = PreimagePolicy(settings(n_action_steps=1))
+    for _ in range(5):
+        torch.testing.assert_close(act(policy, observation), observation[OBS_STATE].float())
+    assert "the goal is refused: the goal is off what was demonstrated" in caplog.text
 
 
 def test_it_plans_again_after_a_reset_and_for_another_goal(observation, planned, goals):

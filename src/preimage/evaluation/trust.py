@@ -140,9 +140,13 @@ def calibrate_by_recordings(
 
 
 def calibration_of(assessed: Sequence[Assessed], planner: Planner) -> Calibration:
-    """What can be learned from goals that were planned to."""
+    """What can be learned from goals that were planned to. Not to be refused are those of the area that were reached: to refuse one that
+    the plan would have missed is right, and one such goal, if it is strange enough, would let pass all that is less strange. Where more of
+    them are missed than reached, there are too few of these, and all of the area count."""
     evidence = [planner.assessment.evidence(one.plan) for one in assessed]
-    reached, possible = [one.reached for one in assessed], [one.kind == AREA for one in assessed]
+    reached, area = [one.reached for one in assessed], [one.kind == AREA for one in assessed]
+    not_missed = [one.kind == AREA and one.reached for one in assessed]
+    possible = not_missed if 2 * sum(not_missed) >= sum(area) else area
     return Calibration.of(evidence, reached, possible=possible, plan=planner.options.calibrated_with())
 
 

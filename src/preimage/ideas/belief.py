@@ -25,7 +25,7 @@ class Belief:
     unexplained: float
     """The goal's error as a share of that of staying at the start."""
     doubt: float
-    """The window's error as a share of that of staying at the start; the robot is held where it stays above `disbelief`."""
+    """The window's error as a share of what it were, at most, had the robot never left its start; above `disbelief` it is held."""
     moved: bool
     """Whether a thing was seen to be elsewhere."""
     num_imagined: int

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 FALSE_REFUSALS = 0.02
-"""Share of possible goals that may be refused, where so small a share can be promised."""
+"""Share of the goals that would be reached that may be refused, where so small a share can be promised."""
 RIDGE = 1.0
 """Penalty of a squared weight, as much as a goal with that loss: evidence that says little gets little weight."""
 FARTHEST = 8.0
@@ -54,7 +54,7 @@ class Calibration:
     bias: float
     """Log odds of success of usual evidence."""
     limit: float
-    """Goals stranger than this are refused."""
+    """Goals stranger than this are refused (`strangeness_of`)."""
     num_possible: int
     """Goals by which the limit was set."""
     num_stranger: int
@@ -82,7 +82,7 @@ class Calibration:
         Args:
             evidence: of each goal, all of the same names.
             reached: whether its plan succeeded.
-            possible: whether it was drawn as those goals are that are not to be refused.
+            possible: whether it is one of those goals that are not to be refused: drawn as the demonstrations were, and reached.
 
         Raises:
             ValueError: there are too few possible goals that were reached, or names differ.
@@ -92,14 +92,14 @@ class Calibration:
             raise ValueError("the goals have different evidence: calibrate with goals of one kind")
         rows, known = np.array([[each[name] for name in names] for each in evidence]), np.array(possible, bool)
         if known.sum() < EVERY:
-            raise ValueError(f"{int(known.sum())} possible goals cannot calibrate anything: give {EVERY} or more")
+            raise ValueError(f"{int(known.sum())} goals that were reached cannot calibrate anything: give {EVERY} or more")
         of_usual = np.flatnonzero(known)[::EVERY]
         usual = rounded(np.median(rows[of_usual], axis=0))
         spread = rounded(np.maximum(np.quantile(rows[of_usual], SPREAD_QUANTILE, axis=0) - usual, SMALLEST_SPREAD))
         known[of_usual] = False
         scaled = (rows - usual) / spread
         bias, weights = fit_logistic(np.clip(scaled, 0, FARTHEST), np.array(reached, bool))
-        limit, num_stranger = limit_of(scaled[known].max(axis=1))
+        limit, num_stranger = limit_of(strangeness_of(scaled[known]))
         return cls(
             names, tuple(usual.tolist()), tuple(spread.tolist()), tuple(rounded(weights).tolist()), round(bias, 6), limit,
             int(known.sum()), num_stranger, len(rows), int(np.sum(reached)), dict(plan or {}),
@@ -115,8 +115,8 @@ class Calibration:
         return float(1 / (1 + np.exp(against - self.bias)))
 
     def strangeness(self, evidence: Evidence) -> float:
-        """Of what is strangest, in spreads from the usual."""
-        return float(self.scaled(evidence).max())
+        """How far evidence is beyond its usual spread, in spreads, all of it together."""
+        return float(strangeness_of(self.scaled(evidence)[None])[0])
 
     def is_refused(self, evidence: Evidence) -> bool:
         """Whether a goal is stranger than the limit."""
@@ -131,9 +131,20 @@ class Calibration:
     def note(self) -> str:
         """What it stands on, and what it promises."""
         return (
-            f"calibrated by {self.num_goals} goals, {self.num_reached} of which were reached; refuses {100 * self.false_refusals:.1f} % of "
-            f"possible goals at most, and with {self.num_possible} of them less than 1/{self.num_possible + 1} can be promised of no rule"
+            f"calibrated by {self.num_goals} goals, {self.num_reached} of which were reached; refuses {100 * self.false_refusals:.1f} % at "
+            f"most of the goals that it reaches, and with {self.num_possible} of them less than 1/{self.num_possible + 1} can be promised "
+            "of no rule"
         )
+
+
+def strangeness_of(scaled: Float[np.ndarray, "N E"]) -> Float[np.ndarray, " N"]:
+    """Of evidence in spreads from the usual, what lies beyond one spread, summed: what cannot be is often a little strange in many ways,
+    where a goal that can be reached is so in one.
+
+    >>> strangeness_of(np.array([[0.9, 0.9, 0.9], [3.0, 0.0, -5.0], [2.0, 2.0, 2.0]])).tolist()
+    [0.0, 2.0, 3.0]
+    """
+    return np.maximum(scaled - 1, 0).sum(axis=1)
 
 
 def fit_logistic(rows: Float[np.ndarray, "N E"], success: Bool[np.ndarray, " N"]) -> tuple[float, Float[np.ndarray, " E"]]:

@@ -14,15 +14,16 @@ from functools import cached_property
 from typing import Self
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from preimage.data.sequences import Sequences
 from preimage.ideas.gripper_events import find_events
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
 from preimage.ideas.kriging import Endings, Prediction, View, in_own_units, krige
+from preimage.ideas.unseen_parts import in_few_rows
 from preimage.method.seam import Objective, Problem
-from preimage.network.coding import JointCoding, to_pixels
+from preimage.network.coding import JointCoding, to_frames, to_pixels
 from preimage.network.divergence import VISUAL_WEIGHT, proprioceptive_error, sensed_log
 from preimage.network.pdvmrnn import Sensed
 
@@ -64,6 +65,8 @@ class DemonstrationMemory:
     """Median of the first frames."""
     first_objects: Float[Tensor, "N D h w"]
     """What stands in each first frame."""
+    final_pictures: UInt8[Tensor, "N C h3 w3"]
+    """The last frames in few rows (`ideas.unseen_parts`), for what their parts look like."""
     event_joints: Float[Tensor, "N K J"]
     """Joints at each of the K gripper events that all demonstrations have in common."""
     event_joint: int = 0
@@ -87,6 +90,7 @@ class DemonstrationMemory:
             start_distance=torch.tensor(usual_distance(coding.encode(joints[:, 0]))),
             first_background=first_background,
             first_objects=apart(first - first_background),
+            final_pictures=to_frames(in_few_rows(last)).movedim(-1, 1),
             event_joints=joints[rows, events.steps] if events else joints[:, :0],
             event_joint=events.joint if events else 0,
         )
@@ -252,7 +256,7 @@ def validate_shapes(tensors: Mapping[str, Tensor]) -> None:
     shapes = {
         "arrivals": (count, *standing), "first_objects": (count, *standing), "last_frames": (count, *coarse),
         "first_background": background.shape, "final_joints": (count, num_joints), "start_distance": (), "event_joint": (),
-        "event_joints": (count, *tensors["event_joints"].shape[1:2], num_joints),
+        "final_pictures": (count, *in_few_rows(background).shape), "event_joints": (count, *tensors["event_joints"].shape[1:2], num_joints),
     }  # fmt: skip
     for name, shape in shapes.items():
         if tensors[name].shape != shape:

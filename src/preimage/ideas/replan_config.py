@@ -22,8 +22,8 @@ class ReplanConfig:
     """Times a step that the intention is moved, at the most."""
     enough: float = 0.02
     """Share of the error of staying at the start: what goal and window leave unexplained up to there, nothing is searched for."""
-    disbelief: float = 0.25
-    """Share of the error of staying at the start: what is sensed may be that far from what is imagined."""
+    disbelief: float = 0.5
+    """Share of what would be seen of a robot that never left its start: what is sensed may be that far from what is imagined."""
     patience: int = 3
     """Steps in a row that it may be further before the robot is held; a push is over sooner."""
     looks: int = 1

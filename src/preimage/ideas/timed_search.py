@@ -18,8 +18,10 @@ from preimage.network.pdvmrnn import Generated
 
 FIRST_S = 0.02
 """What imagining one sequence is taken to last before it was measured (s)."""
-FORGETTING = 0.9
+FORGETTING = 0.97
 """Share of a sequence's time that is left with every step: that a step was slow once must not keep all later ones from trying."""
+PLANNED_SHARE = 0.8
+"""Share of a step's time that what is begun may take by its measure; the rest is for what is done with it, and for a slower moment."""
 PROBE = GaussNewton.finite_difference_step
 DESCENT_COST = 6
 """Sequences that could be imagined in the time of an iteration of Adam: two, each there and back."""
@@ -34,13 +36,15 @@ class Clock:
     """
 
     def __init__(self, now: Callable[[], float], budget_s: float) -> None:
-        self._now, self._budget_s, self._per_sequence_s = now, budget_s, FIRST_S
+        self._now, self._budget_s = now, budget_s
+        self._alone_s, self._further_s = FIRST_S, None
         self.begin()
 
     def begin(self) -> None:
         """A step begins."""
         self._began, self.num_imagined = self._now(), 0
-        self._per_sequence_s *= FORGETTING
+        self._alone_s *= FORGETTING
+        self._further_s = None if self._further_s is None else FORGETTING * self._further_s
 
     @property
     def spent_s(self) -> float:
@@ -48,17 +52,27 @@ class Clock:
 
     @property
     def room(self) -> int:
-        """Sequences that can still be imagined in time."""
-        return max(0, int((self._budget_s - self.spent_s) / self._per_sequence_s))
+        """Sequences that can still be imagined in time, at once. One alone takes longer than one among others."""
+        left_s = PLANNED_SHARE * self._budget_s - self.spent_s - self._alone_s
+        return 0 if left_s < 0 else 1 + int(left_s / (self._further_s or self._alone_s))
 
     def imagine(self, problem: Problem, points: Float[Tensor, "B K"]) -> Generated:
         """What is imagined from points; how long it takes is kept in mind."""
         began = self._now()
         generated = problem.imagine(problem.space.intention(points))
-        took_s = (self._now() - began) / len(points)
-        self._per_sequence_s = max(took_s, (self._per_sequence_s + took_s) / 2, 1e-9)
+        took_s, num_further = self._now() - began, len(points) - 1
+        if num_further:
+            further_s = max((took_s - self._alone_s) / num_further, took_s / len(points) / 2)
+            self._further_s = slower(self._further_s or further_s, further_s)
+        else:
+            self._alone_s = slower(self._alone_s, took_s)
         self.num_imagined += len(points)
         return generated
+
+
+def slower(known_s: float, took_s: float) -> float:
+    """What something is taken to last the next time (s): not less than it just did, and more where it was slow before."""
+    return max(took_s, (known_s + took_s) / 2, 1e-9)
 
 
 @dataclass(frozen=True, eq=False)

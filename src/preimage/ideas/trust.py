@@ -19,12 +19,14 @@ from preimage.ideas.calibration import Calibration
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
 from preimage.ideas.kriging import Endings, Kernel, fits
 from preimage.ideas.memory import DemonstrationMemory
+from preimage.ideas.unseen_parts import in_few_rows, thing_in_the_open, unseen_part
 from preimage.network.coding import to_pixels
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Plan, Trust
 
 NOT_IMAGINED = "the goal is not found in what can be imagined"
 START_UNLIKE = "the start is unlike that of any demonstration"
+NEVER_SEEN = "part of the goal looks like nothing that was demonstrated or is imagined"
 OFF_DEMONSTRATED = "the goal is off what was demonstrated"
 DISAGREE = "memory and imagination disagree about the joints"
 SEVERAL = "several futures fit equally well"
@@ -33,6 +35,8 @@ REASONS = {
     "unexplained": NOT_IMAGINED,
     "goal_residual": NOT_IMAGINED,
     "goal_worst_place": NOT_IMAGINED,
+    "goal_part": NEVER_SEEN,
+    "in_the_open": NEVER_SEEN,
     "start_residual": START_UNLIKE,
     "start_joints": START_UNLIKE,
     "start_picture": START_UNLIKE,
@@ -50,8 +54,16 @@ PLACE = 1 / 16
 """Side of the place that is imagined worst, in heights of a frame: about a hand, or a thing on the table."""
 UNLIKELY = 0.5
 """A plan below this probability of success has a reason, even where it is not refused."""
+STRANGE = 2.0
+"""Evidence beyond so many spreads from the usual is named as a reason of a refusal."""
 FINEST_PIXEL = 1e-6
 """Squared difference of pixels below which pictures are the same (half ranges, squared): a tenth of a grey level."""
+FINEST_PART = 1e-2
+"""Share of what is to be seen at a place, below which all of it is found."""
+FINEST_THING = 2e-3
+"""Squared difference from the background (half ranges, squared) below which there is nothing: six grey levels."""
+MOST_ALIKE = 24
+"""Endings, those that look most like the goal, in which its parts are looked for: the others have their hands elsewhere."""
 FINEST_JOINT = 5e-3
 """Difference of joints, as a share of their range, below which they are the same: a code resolves no more."""
 NEIGHBOURS = 5
@@ -93,9 +105,10 @@ class Assessment:
         return uncalibrated(self.evidence(plan), "for goals after the first")
 
     def reasons(self, evidence: Mapping[str, float], known: Calibration) -> tuple[str, ...]:
-        """What is stranger than the limit of refusals, the strangest first; of an unlikely plan that is not refused, what makes it so."""
+        """Of a plan that is refused what is strange, the strangest first; of an unlikely one that is not refused, what makes it so."""
         scaled = dict(zip(known.names, known.scaled(evidence), strict=True))
-        strange = sorted((name for name in scaled if scaled[name] > known.limit), key=lambda name: -scaled[name])
+        strangest = sorted(scaled, key=lambda name: -scaled[name])
+        strange = [name for name in strangest if scaled[name] > STRANGE] or strangest[:1] if known.is_refused(evidence) else []
         if not strange and known.probability(evidence) < UNLIKELY:
             strange = [known.names[int(np.argmax(known.weights * known.scaled(evidence)))]]
         return tuple(dict.fromkeys(REASONS[name] for name in strange))
@@ -112,7 +125,7 @@ class Assessment:
             found["goal_residual"] = log((arrival - goal).square().mean(), FINEST_PIXEL)
             found["goal_worst_place"] = log(worst_place(arrival - goal), FINEST_PIXEL)
             if self.demonstrated is not None:
-                found |= self.demonstrated.evidence(plan, start, goal)
+                found |= self.demonstrated.evidence(plan, start, goal, arrival)
         return found
 
     @cached_property
@@ -138,6 +151,7 @@ class Demonstrated:
     first_joints: Float[Tensor, "N J"]
     """In shares of the joints' ranges, as are the other joints here."""
     last_frames: Float[Tensor, "N P"]
+    final_pictures: Float[Tensor, "N C h w"]
     final_joints: Float[Tensor, "N J"]
     joint_range: Float[Tensor, " J"]
     arrivals: Float[Tensor, "N F"]
@@ -160,6 +174,7 @@ class Demonstrated:
             first_objects=plain(memory.first_objects).flatten(1),
             first_joints=plain(memory.first_joints) / joint_range,
             last_frames=plain(memory.last_frames).flatten(1),
+            final_pictures=to_pixels(memory.final_pictures.cpu().movedim(1, -1)),
             final_joints=joints,
             joint_range=joint_range,
             arrivals=arrivals,
@@ -168,18 +183,28 @@ class Demonstrated:
             joint_errors=left_out[1].norm(dim=1),
         )
 
-    def evidence(self, plan: Plan, start: Float[Tensor, "C H W"], goal: Float[Tensor, "C H W"]) -> dict[str, float]:
-        """What speaks against a plan by what was demonstrated."""
+    def evidence(
+        self, plan: Plan, start: Float[Tensor, "C H W"], goal: Float[Tensor, "C H W"], arrival: Float[Tensor, "C H W"]
+    ) -> dict[str, float]:
+        """What speaks against a plan by what was demonstrated.
+
+        Args:
+            arrival: what is imagined where the plan arrives.
+        """
         came = arrived(start, goal, self.background).flatten()
         apart_from = (self.arrivals - came).square().sum(1)
         towards = torch.cat([1 / (1 + apart_from / self.kernel.length), torch.ones(1).double()])
         weights = towards @ self.kernel.inverse
         alike = apart_from.argsort()[:NEIGHBOURS]
+        seen, imagined_end = in_few_rows(torch.stack([goal, arrival]))
+        most_alike = self.final_pictures[(self.final_pictures - seen).square().sum((1, 2, 3)).argsort()[:MOST_ALIKE]]
         begun, final = self.shares(plan.start.joints), self.shares(plan.joints[plan.arrival_step])
         found = {
             "goal_blend": log((weights @ padded(self.arrivals) - came).norm() / self.blend_error),
             "uncertainty": log(1 + self.kernel.noise - weights @ towards, 1e-8),
             "ambiguity": log(self.joint_errors[alike].square().mean().sqrt(), FINEST_JOINT),
+            "goal_part": log(unseen_part(seen, torch.cat([imagined_end[None], most_alike])), FINEST_PART),
+            "in_the_open": log(thing_in_the_open(seen, imagined_end, in_few_rows(self.background)), FINEST_THING),
             "goal_picture": log(nearest(blurred(goal, BLUR), self.last_frames)),
             "final_joints": log(nearest(final, self.final_joints), FINEST_JOINT),
             "start_joints": log(nearest(begun, self.first_joints), FINEST_JOINT),

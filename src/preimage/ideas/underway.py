@@ -52,8 +52,14 @@ class Window:
         visual = (visual_error(imagined.pixels, self.pixels) * self.seen).sum(1) / num_seen
         return VISUAL_WEIGHT * visual + proprioceptive_error(imagined.log_codes, self.codes).mean(1)
 
+    def errors_by_step(self, generated: Generated) -> Float[Tensor, "B W"]:
+        """The prediction error of each step, both modalities."""
+        imagined = self.imagined(generated)
+        visual = visual_error(imagined.pixels, self.pixels) * self.seen
+        return VISUAL_WEIGHT * visual + proprioceptive_error(imagined.log_codes, self.codes)
+
     def residuals(self, generated: Generated) -> Float[Tensor, "B R"]:
-        """The same as residuals."""
+        """What `errors` sums, as residuals."""
         imagined, num_seen = self.imagined(generated), self.seen.sum().clamp(min=1)
         visual = visual_residuals(imagined.pixels, self.pixels) * (self.seen / num_seen).sqrt()[:, None, None, None]
         felt = proprioceptive_residuals(imagined.log_codes, self.codes) / len(self.steps) ** 0.5

@@ -24,6 +24,8 @@ class PreimageConfig(PreTrainedConfig):
     """Key of the camera in the observation; by default that of the run's recordings, or the only one there is."""
     fps: float = 30.0
     """Calls of `select_action` a second."""
+    n_action_steps: int = 1
+    """Calls from one look to the next, in whole steps of the run, at least one; 0 goes the whole way blind."""
     preset: str = "full"
     """paper, regression or full: how plans are searched for, as by `preimage plan --as`."""
     iterations: int | None = None
@@ -43,6 +45,8 @@ class PreimageConfig(PreTrainedConfig):
             raise ValueError("the policy has no run: give --policy.run, a folder that `preimage train` wrote or a bundled name")
         if not self.fps > 0:
             raise ValueError(f"--policy.fps is {self.fps}: give the calls of select_action a second, a number above 0")
+        if self.n_action_steps < 0:
+            raise ValueError(f"--policy.n_action_steps is {self.n_action_steps}: give calls from one look to the next, or 0 to go blind")
         if self.preset not in get_args(Preset):
             raise ValueError(f"--policy.preset is {self.preset}: give {', '.join(get_args(Preset))}")
         if self.precision not in get_args(Precision):
