@@ -3,7 +3,7 @@
 A network imagines an arm a little blurred and a little beside itself, so that pixel by pixel its edges differ more than a small thing does
 that it does not imagine at all. So each place of a picture is looked for in other pictures, a little to all sides, and what is left of it,
 where it is found best, is measured by the contrasts that the place has of its own: of an arm that is out of place little is left then, of a
-thing that is missing all of it, however faint it is. And where nothing is imagined, far from all that is, nothing should be seen.
+thing that is missing most of it, unless it is very faint. And where nothing is imagined, far from all that is, nothing should be seen.
 
 >>> table, thing = torch.zeros(2, 1, 32, 32)
 >>> thing[0, 14:17, 14:17] = 0.8
