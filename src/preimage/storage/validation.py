@@ -61,8 +61,9 @@ def what_else_it_is(content: bytes) -> str | None:
 
     >>> what_else_it_is(b"\x80\x04.")
     'a pickled file of PyTorch, which is not opened'
+    >>> what_else_it_is(b"\x80\x18\0\0\0\0\0\0{")  # safetensors, whose header happens to be 6272 bytes long
     """
-    if content.startswith(PICKLED):
+    if content.startswith(PICKLED) and content[8:9] != b"{":
         return "a pickled file of PyTorch, which is not opened"
     length = int.from_bytes(content[:8], "little")
     if not 0 < length <= min(LONGEST_HEADER, len(content) - 8):
