@@ -38,6 +38,8 @@ def test_a_run_keeps_how_it_saw_its_recordings(foreign):
         "wraps": [],
         "turns": [],
         "seams": [],
+        "poles": [],
+        "quaternions": [],
     }
 
 

@@ -41,7 +41,7 @@ def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
 
 
 def unrecorded(seen: Sequence[Recorded]) -> Iterator[Finding]:
-    """Steps at which every joint is zero to the last digit, and far from the next: the recorder ran and the robot did not answer."""
+    """Steps at which every joint is zero to the last digit, and left at once, faster than the arm goes: the recorder ran and the robot did not answer."""
     joined = np.concatenate([one.joints for one in seen])
     low, high = np.percentile(joined, [1, 99], axis=0)
     if joined.shape[1] < 2 or not (high > low).any():
@@ -49,9 +49,9 @@ def unrecorded(seen: Sequence[Recorded]) -> Iterator[Finding]:
     scale, places = np.where(high > low, high - low, np.inf), []
     for one in seen:
         zero = (one.joints == 0).all(1)
-        leaps = (np.abs(np.diff(one.joints, axis=0)) / scale).max(1, initial=0) > FAR
+        steps = (np.abs(np.diff(one.joints, axis=0)) / scale).max(1, initial=0)
         borders = zero[1:] != zero[:-1]
-        if borders.any() and leaps[borders].all():
+        if borders.any() and (steps[borders] > max(FAR, SPIKE_SPEEDS * np.median(steps))).all():
             places += [(one.index, int(step)) for step in np.flatnonzero(zero)]
     if places:
         episodes = episodes_of(places)
