@@ -41,7 +41,7 @@ def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
 
 
 def unrecorded(seen: Sequence[Recorded]) -> Iterator[Finding]:
-    """Steps at which every joint is zero to the last digit, and left at once, faster than the arm goes: the recorder ran and the robot did not answer."""
+    """Steps at which every joint is zero to the last digit, and left faster than the arm goes: nothing answered the recorder."""
     joined = np.concatenate([one.joints for one in seen])
     low, high = np.percentile(joined, [1, 99], axis=0)
     if joined.shape[1] < 2 or not (high > low).any():
