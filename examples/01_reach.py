@@ -23,7 +23,7 @@ def main(out: Path = Path("demo"), goal: int = 7, quick: bool = False) -> None:
     """
     arm = pi.Arm()
     options = pi.PlanOptions.full()
-    planner = pi.load_planner("reach", replace(options, iterations=1, restarts=0) if quick else options)
+    planner = pi.load_planner("reach", replace(options, iterations=1) if quick else options)
     (tutor,) = pi.record(arm, pi.Reach(), count=1, seed=goal)  # somebody has to make the picture of the goal
     assert tutor.scene is not None
 

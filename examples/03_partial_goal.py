@@ -23,7 +23,7 @@ def main(seed: int = 3, goals: int = 3, quick: bool = False) -> None:
         quick: one goal, hardly any search, to see that everything runs.
     """
     arm, model, memory = pi.Arm(), pi.from_pretrained("reach"), pi.load_memory("reach")
-    options = replace(pi.PlanOptions.full(), iterations=1, restarts=0) if quick else pi.PlanOptions.full()
+    options = replace(pi.PlanOptions.full(), iterations=1) if quick else pi.PlanOptions.full()
     tutored = pi.record(arm, pi.Reach(), count=1 if quick else goals, seed=seed)
     print("given    goal   from the goal   joints off   picture off")
     for modalities in ("vision", "joints", "both"):

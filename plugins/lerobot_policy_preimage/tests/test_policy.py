@@ -25,7 +25,7 @@ CAMERA, GOAL = "observation.images.camera", "observation.images.goal"
 
 def settings(**more) -> PreimageConfig:
     """Two calls a step of the run; the robots of these tests do not move, so that most of them had better not look."""
-    return PreimageConfig(run="reach", device="cpu", fps=5.0, iterations=1, restarts=0, **{"n_action_steps": 0} | more)
+    return PreimageConfig(run="reach", device="cpu", fps=5.0, iterations=1, **{"n_action_steps": 0} | more)
 
 
 def pictures(frames) -> torch.Tensor:

@@ -47,7 +47,7 @@ class Going:
 
 def options_of(config: PreimageConfig) -> PlanOptions:
     """The preset, with what was asked for in place of its own."""
-    asked = {"iterations": config.iterations, "restarts": config.restarts, "precision": config.precision}
+    asked = {"iterations": config.iterations, "precision": config.precision}
     return replace(PlanOptions.of(config.preset), **{name: value for name, value in asked.items() if value is not None})
 
 
