@@ -30,7 +30,6 @@ class PreimageConfig(PreTrainedConfig):
     """paper, regression or full: how plans are searched for, as by `preimage plan --as`."""
     iterations: int | None = None
     """Iterations of the error regression; by default those of the preset."""
-    """Training intentions from which a plan in doubt is searched for once more; by default those of the preset."""
     precision: str = "auto"
     """bfloat16, float32, or auto: bfloat16 where the device computes it natively, float32 elsewhere."""
     anyway: bool = False
