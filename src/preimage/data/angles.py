@@ -73,14 +73,19 @@ def find_wraps(
     Args:
         episodes: numbers of the recordings; by default they are counted from 0.
     """
-    numbers = range(len(recordings)) if episodes is None else episodes
-    whole = {number: joints for number, joints in zip(numbers, recordings, strict=True) if len(joints)}
+    whole = by_number(recordings, episodes)
     found = []
     for column, name in enumerate(names if whole else ()):
         readings = [joints[:, column] for joints in whole.values()]
         if (turn := _turn_of(readings)) is not None:
             found.append(_wrap(name, turn, readings, list(whole)))
     return found
+
+
+def by_number(recordings: Sequence[Float[np.ndarray, "_T J"]], episodes: Sequence[int] | None) -> dict[int, Float[np.ndarray, "_T J"]]:
+    """The recordings that hold a step, by the numbers of their episodes; None: they are counted from 0."""
+    numbers = range(len(recordings)) if episodes is None else episodes
+    return {number: joints for number, joints in zip(numbers, recordings, strict=True) if len(joints)}
 
 
 def unwrapped(joints: Float[np.ndarray, "T J"], names: Sequence[str], wraps: Sequence[Wrap]) -> Float[np.ndarray, "T J"]:

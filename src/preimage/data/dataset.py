@@ -23,13 +23,24 @@ from typing import TypeVar
 import numpy as np
 
 from preimage.data import lerobot_reader, plain_folder
-from preimage.data.angles import Wrap, find_wraps, unwrapped
+from preimage.data.angles import Wrap
 from preimage.data.clocks import is_clock
 from preimage.data.files import leave_out
 from preimage.data.lerobot_info import EXTRAS, INFO
-from preimage.data.quaternions import changes_its_sign, find_quaternions, on_one_side
+from preimage.data.quaternions import changes_its_sign
 from preimage.data.questions import naming, questions_about
-from preimage.data.view import COLOURS, Eye, View, moving, quaternions_of, telling_channels, wraps_of
+from preimage.data.view import (
+    COLOURS,
+    Eye,
+    View,
+    made_continuous,
+    moving,
+    quaternions_of,
+    read_through,
+    reading_by,
+    telling_channels,
+    wraps_of,
+)
 from preimage.records import Body, Demonstration, Description, Episode, listed, number_of
 
 __all__ = ["Opened", "describe", "episode_numbers", "fingerprint", "load", "open_recordings", "read_episodes"]
@@ -110,12 +121,12 @@ def open_recordings(
     names = demonstrations[0].joint_names
     if view.joints is None:
         _refuse_what_is_asked(demonstrations, folder)
-    found = view.wraps is not None  # by the run that the recordings are looked at for
     recorded = [each.joints for each in demonstrations]
-    quaternions = quaternions_of(view) if found else find_quaternions(recorded, names, episodes=numbers)
-    demonstrations = [replace(each, joints=on_one_side(each.joints, names, quaternions)) for each in demonstrations]
-    wraps = wraps_of(view) if found else find_wraps([each.joints for each in demonstrations], names, episodes=numbers)
-    demonstrations = [replace(each, joints=unwrapped(each.joints, names, wraps)) for each in demonstrations]
+    if view.wraps is None:
+        read, quaternions, wraps = made_continuous(recorded, names, episodes=numbers)
+    else:  # as the run does that the recordings are looked at for
+        read, quaternions, wraps = [read_through(view, each, names) for each in recorded], quaternions_of(view), wraps_of(view)
+    demonstrations = [replace(each, joints=joints) for each, joints in zip(demonstrations, read, strict=True)]
     joints = view.joints or _chosen_joints(demonstrations, folder)
     if lost := [wrap for wrap in wraps if wrap.impossible and wrap.joint in joints]:
         raise ValueError(f"{folder}: {': '.join(cannot_unwrap(lost[0], [name for name in joints if name != lost[0].joint]))}")
@@ -126,16 +137,7 @@ def open_recordings(
     channels = demonstrations[0].frames.shape[-1]
     if view.colour == "keep" and (telling := telling_channels([each.frames for each in demonstrations])) != channels:
         channels, demonstrations = telling, [replace(each, frames=each.frames[..., :telling].copy()) for each in demonstrations]
-    resolved = replace(
-        eye.view,
-        joints=joints,
-        colour=COLOURS.get(channels, "keep"),
-        wraps=tuple(wrap.joint for wrap in kept),
-        turns=tuple(wrap.turn for wrap in kept),
-        seams=tuple(wrap.seam for wrap in kept),
-        quaternions=tuple(name for each in quaternions for name in each.columns),
-        poles=tuple(number for each in quaternions for number in each.pole),
-    )
+    resolved = reading_by(replace(eye.view, joints=joints, colour=COLOURS.get(channels, "keep")), kept, quaternions)
     tasks = {episode.task for episode in episodes}
     lines = [*_summary(demonstrations, numbers, description, resolved, chosen=view.joints is not None)]
     lines += [reads_past(wrap, len(numbers)) for wrap in kept if wrap.episodes]

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from preimage.data.angles import by_number
 from preimage.data.clocks import words_of
 from preimage.records import listed, number_of
 
@@ -50,8 +51,7 @@ def find_quaternions(
     Args:
         episodes: numbers of the recordings; by default they are counted from 0.
     """
-    numbers = range(len(recordings)) if episodes is None else episodes
-    whole = {number: joints for number, joints in zip(numbers, recordings, strict=True) if len(joints)}
+    whole = by_number(recordings, episodes)
     found: list[Quaternion] = []
     begin = 0
     while whole and begin + NUM_PARTS <= len(names):

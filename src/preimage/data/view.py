@@ -27,8 +27,8 @@ import tyro
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
-from preimage.data.angles import Wrap, unwrapped
-from preimage.data.quaternions import NUM_PARTS, Quaternion, on_one_side
+from preimage.data.angles import Wrap, find_wraps, unwrapped
+from preimage.data.quaternions import NUM_PARTS, Quaternion, find_quaternions, on_one_side
 from preimage.network.config import Sensors
 
 LADDER = 16
@@ -90,6 +90,28 @@ def quaternions_of(view: View) -> list[Quaternion]:
     """On which side the view keeps quaternions."""
     parts = [slice(begin, begin + NUM_PARTS) for begin in range(0, len(view.quaternions), NUM_PARTS)]
     return [Quaternion(view.quaternions[each], view.poles[each]) for each in parts]
+
+
+def reading_by(view: View, wraps: Sequence[Wrap], quaternions: Sequence[Quaternion]) -> View:
+    """The view that reads joints so (`wraps_of`, `quaternions_of`)."""
+    return replace(
+        view,
+        wraps=tuple(wrap.joint for wrap in wraps),
+        turns=tuple(wrap.turn for wrap in wraps),
+        seams=tuple(wrap.seam for wrap in wraps),
+        quaternions=tuple(name for each in quaternions for name in each.columns),
+        poles=tuple(number for each in quaternions for number in each.pole),
+    )
+
+
+def made_continuous(
+    recordings: Sequence[Float[np.ndarray, "_T J"]], names: Sequence[str], *, episodes: Sequence[int]
+) -> tuple[list[Float[np.ndarray, "_T J"]], list[Quaternion], list[Wrap]]:
+    """The joints of all episodes with quaternions on one side and angles unwrapped, and what of both was found."""
+    quaternions = find_quaternions(recordings, names, episodes=episodes)
+    recordings = [on_one_side(joints, names, quaternions) for joints in recordings]
+    wraps = find_wraps(recordings, names, episodes=episodes)
+    return [unwrapped(joints, names, wraps) for joints in recordings], quaternions, wraps
 
 
 def read_through(view: View, joints: Float[np.ndarray, "T J"], names: Sequence[str]) -> Float[np.ndarray, "T J"]:

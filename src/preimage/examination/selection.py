@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from preimage.data.angles import find_wraps, unwrapped
 from preimage.data.clocks import is_clock
 from preimage.data.dataset import cannot_unwrap, reads_past
-from preimage.data.quaternions import changes_its_sign, find_quaternions, on_one_side
+from preimage.data.quaternions import changes_its_sign
 from preimage.data.questions import questions_about
+from preimage.data.view import made_continuous
 from preimage.examination.findings import Finding, Kind, Severity, in_episodes
 from preimage.examination.seen import Seen
 from preimage.records import listed, number_of
@@ -31,12 +31,10 @@ def clocks(seen: Sequence[Seen], *, chosen: bool) -> Iterator[Finding]:
 def unwrap(seen: Sequence[Seen]) -> tuple[list[Seen], list[Finding]]:
     """The episodes with quaternions on one side and angles that wrap unwrapped, as training does, and a finding about each of them."""
     names, findings = seen[0].joint_names, []
-    quaternions = find_quaternions([one.joints for one in seen], names, episodes=[one.index for one in seen])
-    seen = [replace(one, joints=on_one_side(one.joints, names, quaternions)) for one in seen]
+    joints, quaternions, wraps = made_continuous([one.joints for one in seen], names, episodes=[one.index for one in seen])
     for each in (each for each in quaternions if each.episodes):
         what = f"{changes_its_sign(each, len(seen))}, in training too"
         findings.append(Finding(Kind.SIGN, Severity.NOTE, what, episodes=each.episodes, joints=each.columns))
-    wraps = find_wraps([one.joints for one in seen], names, episodes=[one.index for one in seen])
     for wrap in wraps:
         if wrap.impossible:
             what, help_ = cannot_unwrap(wrap, [name for name in names if name != wrap.joint])
@@ -44,7 +42,7 @@ def unwrap(seen: Sequence[Seen]) -> tuple[list[Seen], list[Finding]]:
         elif wrap.episodes:
             what = f"{reads_past(wrap, len(seen))}, in training too"
             findings.append(Finding(Kind.WRAPS, Severity.NOTE, what, episodes=wrap.episodes, joints=(wrap.joint,)))
-    return [replace(one, joints=unwrapped(one.joints, names, wraps)) for one in seen], findings
+    return [replace(one, joints=read) for one, read in zip(seen, joints, strict=True)], findings
 
 
 def tasks(seen: Sequence[Seen]) -> Iterator[Finding]:
