@@ -98,8 +98,8 @@ def validate(demonstrations: Sequence[Demonstration], episodes: Sequence[int]) -
     if not any(np.ptp(one.joints, axis=0).any() for one in demonstrations):
         raise ValueError("no joint ever moves: look whether the joints were recorded")
     begun = [Begun(number, one.joint_names, one.joints, one.frames[0]) for number, one in zip(episodes, demonstrations, strict=True)]
-    for finding in (*unrecorded(begun), *recorded_otherwise(begun)):
-        raise ValueError(f"{finding.what}: {finding.help}")
+    if found := [*unrecorded(begun), *recorded_otherwise(begun)]:
+        raise ValueError(f"{found[0].what}: {found[0].help}")
     seen: list[Seen] = []
     for number, one in zip(episodes, demonstrations, strict=True):
         seen.append(look_through(Episode(number, one.frames, one.joints, one.joint_names, None, len(one), one.rate_hz, None)))

@@ -7,8 +7,7 @@ from jaxtyping import Float
 
 from preimage.data.joint_range import FULL_TURN_RAD
 from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, leaving_out
-from preimage.examination.otherwise import Recorded
-from preimage.examination.seen import Seen, divisors, spans
+from preimage.examination.seen import Recorded, Seen, divisors, spans, wide_spans
 from preimage.records import listed
 
 SPIKE = 0.25
@@ -42,11 +41,9 @@ def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
 
 def unrecorded(seen: Sequence[Recorded]) -> Iterator[Finding]:
     """Steps at which every joint is zero to the last digit, and left faster than the arm goes: nothing answered the recorder."""
-    joined = np.concatenate([one.joints for one in seen])
-    low, high = np.percentile(joined, [1, 99], axis=0)
-    if joined.shape[1] < 2 or not (high > low).any():
+    scale, places = wide_spans(seen), []
+    if len(scale) < 2 or not np.isfinite(scale).any():
         return
-    scale, places = np.where(high > low, high - low, np.inf), []
     for one in seen:
         zero = (one.joints == 0).all(1)
         steps = (np.abs(np.diff(one.joints, axis=0)) / scale).max(1, initial=0)
@@ -56,13 +53,8 @@ def unrecorded(seen: Sequence[Recorded]) -> Iterator[Finding]:
     if places:
         episodes = episodes_of(places)
         what = f"all joints are zero at {at_places(places)}, far from where they are beside it: the robot did not answer there"
-        yield Finding(
-            Kind.UNRECORDED,
-            Severity.FAULT,
-            what,
-            f"take these rows and their pictures out, or {leaving_out(episodes)}",
-            *(episodes, tuple(places)),
-        )
+        help_ = f"take these rows and their pictures out, or {leaving_out(episodes)}"
+        yield Finding(Kind.UNRECORDED, Severity.FAULT, what, help_, episodes, tuple(places))
 
 
 def frozen(seen: Sequence[Seen]) -> Iterator[Finding]:

@@ -7,13 +7,13 @@ changes between episodes: how far the joints go, where they start, and what stan
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from preimage.data.view import LONGEST
 from preimage.examination.findings import Finding, Kind, Severity, in_episodes, leaving_out
+from preimage.examination.seen import Recorded, wide_spans
 
 UNITS = {180 / np.pi: "degrees beside radians", 100.0: "hundredths beside ones", 1000.0: "thousandths beside ones"}
 """How many times as large the same angle or way is in the smaller unit."""
@@ -39,19 +39,6 @@ AS_ALIKE, NOISE = 1.1, 0.2
 averaged over blocks."""
 LEAST_EPISODES = 3
 """Of two nobody can say which is the odd one."""
-
-
-class Recorded(Protocol):
-    """What is compared of an episode."""
-
-    @property
-    def index(self) -> int: ...
-    @property
-    def joint_names(self) -> tuple[str, ...]: ...
-    @property
-    def joints(self) -> Float[np.ndarray, "T J"]: ...
-    @property
-    def first(self) -> UInt8[np.ndarray, "H W C"] | None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +83,7 @@ def another_unit(seen: Sequence[Recorded]) -> Iterator[Finding]:
 
 def another_order(seen: Sequence[Recorded]) -> Iterator[Finding]:
     """Some episodes start with the very numbers that the others start with, in other columns."""
-    joints = np.concatenate([one.joints for one in seen])
-    low, high = np.percentile(joints, [1, 99], axis=0)
-    span = np.where(high > low, high - low, np.inf)
+    span = wide_spans(seen)
     starts = np.array([one.joints[0] for one in seen])  # (N, J)
     apart = np.abs(starts[:, None] - starts[None]) / span  # (N, N, J)
     alike = np.all(apart < SAME_START, axis=-1)
@@ -122,8 +107,7 @@ def another_zero(seen: Sequence[Recorded]) -> Iterator[Finding]:
     if len(seen) < LEAST_EPISODES:
         return
     names, starts = seen[0].joint_names, np.array([one.joints[0] for one in seen])  # (N, J)
-    low, high = np.percentile(np.concatenate([one.joints for one in seen]), [1, 99], axis=0)
-    span = np.where(high > low, high - low, np.inf)
+    span = wide_spans(seen)
     for joint, name in enumerate(names):
         order = np.argsort(starts[:, joint])
         gaps = np.diff(starts[order, joint])

@@ -7,6 +7,7 @@ along the longer side, which is also what a network of the usual size would get 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
@@ -127,16 +128,34 @@ def shrunk(frames: UInt8[np.ndarray, "F H W C"]) -> Float32[np.ndarray, "F h w"]
     return blocks.mean((2, 4, 5), dtype=np.float32)  # (F, h, w)
 
 
-def spans(seen: Sequence[Seen]) -> Float[np.ndarray, " J"]:
+class Recorded(Protocol):
+    """What is compared of an episode."""
+
+    @property
+    def index(self) -> int: ...
+    @property
+    def joint_names(self) -> tuple[str, ...]: ...
+    @property
+    def joints(self) -> Float[np.ndarray, "T J"]: ...
+    @property
+    def first(self) -> UInt8[np.ndarray, "H W C"] | None: ...
+
+
+def spans(seen: Sequence[Recorded]) -> Float[np.ndarray, " J"]:
     """How far each joint goes in the whole set, the farthest hundredth on either side left out: a glitch does not widen it."""
     low, high = np.percentile(np.concatenate([one.joints for one in seen]), [1, 99], axis=0)
     return high - low
 
 
+def wide_spans(seen: Sequence[Recorded]) -> Float[np.ndarray, " J"]:
+    """The same to divide by: infinite where a joint goes nowhere."""
+    span = spans(seen)
+    return np.where(span > 0, span, np.inf)
+
+
 def divisors(seen: Sequence[Seen]) -> Float[np.ndarray, " J"]:
     """What to divide each joint by, so that all that are learned count alike; infinite for the others (`data.view.moving`)."""
-    span = spans(seen)
-    return np.where(moving([one.joints for one in seen]) & (span > 0), span, np.inf)
+    return np.where(moving([one.joints for one in seen]), wide_spans(seen), np.inf)
 
 
 def _mended(joints: Float[np.ndarray, "T J"]) -> Float[np.ndarray, "T J"]:
