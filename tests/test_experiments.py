@@ -1,6 +1,7 @@
 """The experiments: which cells there are, their figures by hand, and one of them from nothing to its JSON, stopped everywhere."""
 
 import json
+import multiprocessing
 import shutil
 import time
 from dataclasses import replace
@@ -9,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from forks import FORKS
 from preimage.evaluation.experiments import goals_of, principal_plane, rank_correlation, reproduce
 from preimage.evaluation.recipes import GRIPPING, Cell, cells_of, learning_of, network_of
 from preimage.network.config import ModelConfig, Sensors
@@ -18,6 +18,10 @@ from preimage.presets import SIZES, Preset, TrainOptions
 from preimage.records import Demonstration
 from preimage.report import fill_readme, write_results
 from preimage.robot import TASKS
+
+FORKS = multiprocessing.get_context("forkserver")
+FORKS.set_forkserver_preload([__name__])
+"""Processes that begin where another has loaded already what takes seconds: one is killed often, and starts in some milliseconds."""
 
 
 def test_all_cells_of_the_paper() -> None:
