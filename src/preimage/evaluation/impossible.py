@@ -15,7 +15,7 @@ from jaxtyping import UInt8
 
 from preimage.records import Percept, Scene
 from preimage.robot import TASKS, Arm, Task
-from preimage.robot.rim import aim_of, end_of, joints_above, sample_rim, sense_ends
+from preimage.robot.rim import aim_of, end_of, joints_above, sample_rim, sense_end
 
 Frame = UInt8[np.ndarray, "H W C"]
 OFF_AREA_M = 0.15, 0.3
@@ -93,7 +93,7 @@ def other_scene(source: Source) -> Frame:
     other = TASKS["reach" if source.task.name == "two-points" else "two-points"]
     camera = replace(other.workspace.camera, height=source.goal.shape[0], width=source.goal.shape[1])
     filmed = replace(other, workspace=replace(other.workspace, camera=camera))  # pyright: ignore[reportArgumentType]
-    goal = sense_ends(source.arm, filmed, other.sample(source.rng))[1].frame
+    goal = sense_end(source.arm, filmed, other.sample(source.rng)).frame
     assert goal is not None
     return goal
 

@@ -75,6 +75,11 @@ def sense_ends(arm: Arm, task: Task, scene: Scene) -> tuple[Percept, Percept]:
     """What is sensed before a scene is solved and after: the arm is put there, no way leads through."""
     arm.set_up(task.workspace)
     task.lay_out(arm, scene)
-    start = arm.sense()
+    return arm.sense(), sense_end(arm, task, scene)
+
+
+def sense_end(arm: Arm, task: Task, scene: Scene) -> Percept:
+    """What is sensed after a scene is solved: the arm is put there, no way leads through."""
+    arm.set_up(task.workspace)
     arm.reset(*end_of(task, scene))
-    return start, arm.sense()
+    return arm.sense()

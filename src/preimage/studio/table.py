@@ -9,7 +9,7 @@
 
 import threading
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -22,7 +22,7 @@ from preimage.robot.kinematics import ACTIVE_JOINTS, reaching_joints
 from preimage.robot.move_object import APART_M as OBJECT_APART_M
 from preimage.robot.move_object import MoveObject
 from preimage.robot.reach import MARGIN_M, Reach
-from preimage.robot.rim import aim_of, sense_ends
+from preimage.robot.rim import aim_of, sense_end
 from preimage.robot.task import apart_m, is_inside_margin
 from preimage.robot.two_points import APART_M as GOAL_APART_M
 from preimage.robot.two_points import ReachTwo
@@ -31,8 +31,14 @@ LARGE_PIXELS = 320
 """Height and width of the picture that people click on: the network's own is too small for it."""
 Touch = Literal["push", "object", "goal"]
 """The hand is pushed, the object moved, another goal wanted."""
+MOST_SCENES = 16
+"""Starts whose pictures are kept, each of 0.1 MB: a click on the table does not have it drawn again."""
 GRID = 48
 """Cells along a side of the picture at which it is looked up whether the arm gets there."""
+
+
+Beginning = tuple[tuple[float, ...], tuple[tuple[str, tuple[float, ...]], ...]]
+"""All that a picture of a start depends on: the joints, and where each thing lies."""
 
 
 class Table:
@@ -48,6 +54,7 @@ class Table:
         self._arm, self._lock = Arm(), threading.Lock()
         self._arm.set_up(self.task.workspace)
         self.units = self._arm.joint_units
+        self._start, self._large = lru_cache(MOST_SCENES)(self._sensed_at), lru_cache(MOST_SCENES)(self._large_at)
 
     @property
     def camera(self):
@@ -111,20 +118,16 @@ class Table:
 
     def start(self, scene: Scene) -> Percept:
         """What is sensed before anything moves."""
-        with self._lock:
-            self.task.lay_out(self._arm, scene)
-            return self._arm.sense()
+        return self._start(self._beginning(scene))
 
     def goal(self, scene: Scene) -> Percept:
         """What would be sensed if the scene were solved."""
         with self._lock:
-            return sense_ends(self._arm, self.task, scene)[1]
+            return sense_end(self._arm, self.task, scene)
 
     def large(self, scene: Scene) -> UInt8[np.ndarray, "H W 1"]:
         """The start, large enough for people."""
-        with self._lock:
-            self.task.lay_out(self._arm, scene)
-            return self._arm.seen_by(self.large_camera)
+        return self._large(self._beginning(scene))
 
     def execute(self, plan: Plan, scene: Scene) -> Trial:
         """Let the arm execute a plan, and judge where it ends."""
@@ -141,6 +144,24 @@ class Table:
         middles = (np.arange(GRID) + 0.5) / GRID
         rows = [[self.camera.place_at(np.array([across, down]), self.goal_height_m) for across in middles] for down in middles]
         return ["".join("1" if place is not None and self._reaches(place) else "0" for place in row) for row in rows]
+
+    def _beginning(self, scene: Scene) -> Beginning:
+        return scene.start_joints, tuple((name, scene.positions_m[name]) for name in self.task.workspace.things)
+
+    def _sensed_at(self, beginning: Beginning) -> Percept:
+        with self._lock:
+            self._put(beginning)
+            return self._arm.sense()
+
+    def _large_at(self, beginning: Beginning) -> UInt8[np.ndarray, "H W 1"]:
+        with self._lock:
+            self._put(beginning)
+            return self._arm.seen_by(self.large_camera)
+
+    def _put(self, beginning: Beginning) -> None:
+        joints, positions_m = beginning
+        self._arm.set_up(self.task.workspace)
+        self._arm.reset(joints, dict(positions_m))
 
     @property
     def _apart_m(self) -> float:

@@ -161,15 +161,15 @@ function follow(id, known = null) {
   letGo();
   listening = new AbortController();
   Object.assign(state, { job: id, found: null, executed: null, seen: [] });
+  listen(id, (event) => heard(event, known).catch(trouble), listening.signal).catch((error) => {
+    searching(false);
+    trouble(error);
+  }); // first of all: the page is drawn anew while the first point is under way
   hideOutcome();
   clear($("arriving"));
   drawSearch();
   remember();
   searching(true);
-  listen(id, (event) => heard(event, known).catch(trouble), listening.signal).catch((error) => {
-    searching(false);
-    trouble(error);
-  });
 }
 
 function searching(is) {
