@@ -12,7 +12,7 @@ WINGS = [
     *("records", "compute", "network", "fast", "data", "storage", "method", "ideas", "presets"),
     *("robot", "examination", "report", "evaluation", "studio", "cli"),
 ]
-"""From the ground up. `presets` is a room of its own, the only one that wires ideas into the method."""
+"""From the ground up. `presets` alone wires ideas into the method."""
 PLANNER = {"robot", "mujoco", "examination", "report", "evaluation", "studio", "cli"}
 WALLS = {  # wing or room -> what it never imports, wherever it stands
     "robot": {"torch"},

@@ -12,8 +12,8 @@ numba caches compiled code by the age of the file that starts the compilation, `
 ... def squares_of(x):
 ...     vector = load(x, 0)
 ...     return horizontal_sum(multiply_add(broadcast(x.dtype.type(0)), vector, vector))
->>> squares_of(np.full(VECTOR_SIZE, 0.5, np.float32))
-4.0
+>>> squares_of(np.full(VECTOR_SIZE, 0.5, np.float32)) == 0.25 * VECTOR_SIZE
+True
 """
 
 # pyright: reportCallIssue=false, reportAttributeAccessIssue=false, reportGeneralTypeIssues=false

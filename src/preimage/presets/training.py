@@ -1,0 +1,72 @@
+"""Training with the ideas beyond the paper, and the memory of the demonstrations that is kept beside the weights."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from preimage.network.config import ModelConfig
+from preimage.presets.options import TrainOptions
+from preimage.storage.run_files import CALIBRATION, HELD_OUT, MEMORY
+
+if TYPE_CHECKING:
+    from preimage.compute.processes import ProcessGroup
+    from preimage.ideas.memory import DemonstrationMemory
+    from preimage.network.pdvmrnn import PDVMRNN
+    from preimage.records import Demonstration
+
+
+def train(
+    demonstrations: "Sequence[Demonstration]",
+    model_config: ModelConfig | None = None,
+    *,
+    config: TrainOptions | None = None,
+    folder: Path | str | None = None,
+    held_out: "Sequence[Demonstration]" = (),
+    group: "ProcessGroup | None" = None,
+    **more: Any,
+) -> "PDVMRNN":
+    """Learn weights and intentions that regenerate the demonstrations (`method.train.train`); their memory is kept in the run folder.
+
+    Args:
+        config: how the network learns, with the ideas beyond the paper.
+        held_out: episodes whose errors are kept in the run folder at every checkpoint; nothing is learned from them.
+        more: as `method.train.train` takes it.
+    """
+    from preimage.compute.processes import ProcessGroup
+    from preimage.method.train import train as train_by_the_paper
+    from preimage.storage.checkpoints import append_to_log
+    from preimage.storage.runs import load_model, write_tensors
+
+    config, group = config or TrainOptions(), group or ProcessGroup()
+
+    def keep_memory(model: "PDVMRNN") -> None:
+        if folder is not None and group.first:
+            write_tensors(Path(folder) / MEMORY, remember(demonstrations, model).tensors())
+            (Path(folder) / CALIBRATION).unlink(missing_ok=True)  # it is of the weights before
+
+    def look_at_held_out(model: "PDVMRNN", update: int) -> None:
+        from preimage.ideas.held_out_error import held_out_error
+
+        began = time.perf_counter()
+        error = held_out_error(model, held_out, precision=config.precision)
+        line = {"update": update} | error | {"seconds": time.perf_counter() - began}
+        append_to_log(Path(folder or ""), line, name=HELD_OUT)
+
+    more |= {"augmentations": config.augmentations(), "at_checkpoint": look_at_held_out if held_out else None}
+    try:
+        model = train_by_the_paper(demonstrations, model_config, config=config, folder=folder, group=group, **more)
+    except KeyboardInterrupt:
+        if folder is not None:
+            keep_memory(load_model(folder))
+        raise
+    keep_memory(model)
+    return model
+
+
+def remember(demonstrations: "Sequence[Demonstration]", model: "PDVMRNN") -> "DemonstrationMemory":
+    """The memory of the demonstrations that a network was trained on, for `Planner`."""
+    from preimage.data.sequences import pad
+    from preimage.ideas.memory import DemonstrationMemory
+
+    return DemonstrationMemory.of(pad(demonstrations, rate_hz=model.config.rate_hz), model.coding)
