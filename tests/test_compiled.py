@@ -1,8 +1,10 @@
 """The compiled loop is the network's own: the same values and gradients as torch's step gives, in every shape that is served."""
 
+import os
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -17,6 +19,7 @@ from shared import make_demonstration
 
 pytest.importorskip("numba")
 from preimage.fast.bfloat16 import is_compiled
+from preimage.fast.convolution import can_cache, forget_outdated
 
 pytestmark = pytest.mark.slow  # the first time on a machine it is all compiled, in half a minute
 
@@ -197,11 +200,20 @@ def test_once_the_loops_are_compiled_neither_plans_nor_training_compile_more() -
 def test_where_no_folder_can_be_written_to_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     from numba.core import caching
 
-    from preimage.fast.convolution import can_cache
-
     assert can_cache()
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
     assert not can_cache()
+
+
+def test_code_that_was_compiled_before_any_of_its_sources_changed_is_compiled_again(tmp_path: Path) -> None:
+    sources, compiled = [tmp_path / "kernel.py", tmp_path / "loop.py"], [tmp_path / "loop.nbi", tmp_path / "loop.nbc"]
+    for age, path in enumerate([sources[1], *compiled, sources[0]]):
+        path.touch()
+        os.utime(path, (1e9 + age, 1e9 + age))
+    forget_outdated(sources[1:], compiled)
+    assert all(path.exists() for path in compiled)
+    forget_outdated(sources, compiled)
+    assert not any(path.exists() for path in compiled)
 
 
 def test_a_training_goes_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:

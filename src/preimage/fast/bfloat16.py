@@ -4,8 +4,6 @@ The kernels are those of `fast.convolution`; what they read is rounded first. Wh
 other, place by place, as pairs (uint32); where they sum over places, two neighbours are the pair, so that a channel is simply stored in
 half the room (uint16). Everything else, sums included, stays in single precision.
 
-numba caches compiled code by the age of the file that starts the compilation, `fast.compiled`: touch that one after a change here.
-
 >>> import numpy as np
 >>> bits = np.array([1.0, 1.00390625, -3.0], np.float32).view(np.uint32)  # the second lies between two numbers of bfloat16
 >>> [f"{rounded(each):08x}"[:4] for each in bits]

@@ -7,8 +7,6 @@ channel, and the zero padding comes for free.
 
 Loops other than those of the convolutions (`fast.convolution`) are vectorised by the compiler, where they count from 0, go through few
 arrays (slices that begin at 0) and divide without a check.
-
-numba caches compiled code by the age of the file of the outermost function, which is this one.
 """
 
 import numpy as np

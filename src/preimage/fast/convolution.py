@@ -4,8 +4,6 @@ Only what takes long is here. Sums stay in registers: `correlate` sums a tile, a
 inputs and taps before writing it; `products` sums the products that the weight gradients of three channels need. AVX-512 has twice as many
 registers as AVX2; what fits them is chosen here.
 
-numba caches compiled code by the age of the file that starts the compilation, `fast.compiled`: touch that one after a change here.
-
 >>> import numpy as np
 >>> pixels, result, weights = np.ones(3 * TILE, np.float32), np.zeros(2 * TILE, np.float32), np.full(9, 0.5, np.float32)
 >>> correlate(pixels, TILE, 1, result, 0, 1, TILE, 5, weights, 0, TILE)
@@ -16,11 +14,23 @@ numba caches compiled code by the age of the file that starts the compilation, `
 # pyright: reportCallIssue=false
 # An intrinsic is called with other arguments than it is declared with.
 
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from numba import njit
 
-from preimage.fast.simd import VECTOR_SIZE, broadcast, load, multiply_add, store
+from preimage.fast.simd import VECTOR_SIZE, broadcast, broadcast_at, load, multiply_add, store
+
+
+def forget_outdated(sources: Iterable[Path], compiled: Iterable[Path]) -> None:
+    """Delete compiled code that is older than any of its sources: numba looks at one alone, but code holds what other files define."""
+    newest = max(path.stat().st_mtime for path in sources)
+    for path in compiled:
+        with suppress(OSError):  # another process may be as quick, or the folder not ours to change
+            if path.stat().st_mtime < newest:
+                path.unlink()
 
 
 def can_cache() -> bool:
@@ -32,6 +42,7 @@ def can_cache() -> bool:
     return True
 
 
+forget_outdated(Path(__file__).parent.glob("*.py"), (Path(__file__).parent / "__pycache__").glob("*.nb[ic]"))
 OPTIONS: dict[str, Any] = {"fastmath": True, "nogil": True, "cache": can_cache(), "error_model": "numpy"}
 """numpy's error model: Python's would check every division for a zero, one number at a time."""
 VECTORS = 2 if VECTOR_SIZE == 16 else 3
@@ -63,8 +74,10 @@ def add_tile(x, source, inputs, size, row, y, a, b, c, d, weights, u, v, w, z):
         for line in range(-1, 2):
             for column in range(-1, 2):
                 taps = load_tile(x, source + i * size + line * row + column)
-                sums_a, sums_b = multiply_add_tile(sums_a, weights[u + tap], taps), multiply_add_tile(sums_b, weights[v + tap], taps)
-                sums_c, sums_d = multiply_add_tile(sums_c, weights[w + tap], taps), multiply_add_tile(sums_d, weights[z + tap], taps)
+                sums_a = multiply_add_tile(sums_a, broadcast_at(weights, u + tap), taps)
+                sums_b = multiply_add_tile(sums_b, broadcast_at(weights, v + tap), taps)
+                sums_c = multiply_add_tile(sums_c, broadcast_at(weights, w + tap), taps)
+                sums_d = multiply_add_tile(sums_d, broadcast_at(weights, z + tap), taps)
                 tap += 1
     store_tile(y, a, sums_a)
     store_tile(y, b, sums_b)
@@ -87,7 +100,6 @@ def store_tile(numbers, first, vectors):
 
 @njit(**OPTIONS)
 def multiply_add_tile(sums, weight, vectors):
-    weight = broadcast(weight)
     if VECTORS == 2:
         return multiply_add(sums[0], weight, vectors[0]), multiply_add(sums[1], weight, vectors[1])
     first = multiply_add(sums[0], weight, vectors[0])

@@ -2,8 +2,6 @@
 
 Which kernels a convolution takes, in its own precision or in bfloat16, is chosen when it is compiled, by the kind of the scratch that it
 gets: pairs (uint32) ask for the latter.
-
-numba caches compiled code by the age of the file that starts the compilation, `fast.compiled`: touch that one after a change here.
 """
 
 # pyright: reportGeneralTypeIssues=false, reportArgumentType=false

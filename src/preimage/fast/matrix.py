@@ -4,8 +4,6 @@ A vector's numbers lie sequence beside sequence; here they are brought into rows
 the batch are multiplied as they lie. Rows are as long as whole SIMD vectors (`fast.simd`): what a kernel reads of a matrix beyond the end
 of a row meets zeros, or is written where nobody looks.
 
-numba caches compiled code by the age of the file that starts the compilation, `fast.compiled`: touch that one after a change here.
-
 >>> import numpy as np
 >>> weights, x, y = np.zeros(4 + VECTOR_SIZE, np.float32), np.array([5, 6], np.float32), np.zeros(2, np.float32)
 >>> weights[:4] = 1, 2, 3, 4

@@ -1,7 +1,5 @@
 """The lines of a `fast.program`: their kinds, their fields, and what several kinds do.
 
-numba caches compiled code by the age of the file that starts the compilation, `fast.compiled`: touch that one after a change here.
-
 >>> OPERATION.names[0], CONVOLUTION
 ('kind', 0)
 """

@@ -4,8 +4,6 @@ Compilers do not find out for themselves how to keep the sums of a convolution i
 many numbers in single precision as the widest registers do, as far as the compiler is told of them. Where numbers are longer, several
 registers make up one vector, so the same source serves both precisions and every processor.
 
-numba caches compiled code by the age of the file that starts the compilation, `fast.compiled`: touch that one after a change here.
-
 >>> import numpy as np
 >>> from numba import njit
 >>> @njit
@@ -84,16 +82,32 @@ def store(_: Any, numbers: types.Array, first: types.Integer, vector: Vector) ->
     return types.void(numbers, types.intp, vector), code
 
 
+def repeated(builder: Any, number: Any, vector: ir.VectorType) -> Any:
+    nothing = ir.Constant(vector, ir.Undefined)
+    one = builder.insert_element(nothing, number, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(one, nothing, ir.Constant(ir.VectorType(ir.IntType(32), VECTOR_SIZE), None))
+
+
 @intrinsic
 def broadcast(_: Any, number: types.Number) -> Any:
     """A vector of one number, repeated."""
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        nothing = ir.Constant(context.get_value_type(signature.return_type), ir.Undefined)
-        one = builder.insert_element(nothing, values[0], ir.Constant(ir.IntType(32), 0))
-        return builder.shuffle_vector(one, nothing, ir.Constant(ir.VectorType(ir.IntType(32), VECTOR_SIZE), None))
+        return repeated(builder, values[0], context.get_value_type(signature.return_type))
 
     return Vector(number)(number), code
+
+
+@intrinsic
+def broadcast_at(_: Any, numbers: types.Array, index: types.Integer) -> Any:
+    """A vector of the number at an index, repeated; numba's own indexing asks of each index whether it is negative."""
+
+    def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        vector = context.get_value_type(signature.return_type)
+        number = builder.load(builder.gep(context.make_array(numbers)(context, builder, values[0]).data, [values[1]]))
+        return repeated(builder, number, vector)
+
+    return Vector(numbers.dtype)(numbers, types.intp), code
 
 
 class Pairs(ir.Type):
