@@ -36,6 +36,15 @@ def test_a_log_gets_a_line_now_and_then(clock, capsys, monkeypatch):
     ]
 
 
+def test_a_work_that_goes_on_counts_the_time_of_what_it_did_itself(clock, capsys, monkeypatch):
+    monkeypatch.setattr(screen, "LINE_EVERY_S", 30.0)
+    with screen.following("training", total=100) as follow:
+        for done in range(81, 101):
+            clock[0] = 2.0 * (done - 80)
+            follow(done=done)
+    assert capsys.readouterr().err.splitlines() == ["training: 95 of 100, about 10 s left"]
+
+
 def test_a_short_work_says_nothing_in_a_log(capsys):
     assert list(screen.followed("abc", "reading")) == ["a", "b", "c"]
     with screen.waiting("planning"):

@@ -48,15 +48,16 @@ def following(what: str, *, total: int | None = None, shown: bool = True) -> Ite
 def in_lines(what: str, total: int | None = None) -> Follow:
     """A function by which a work says how far it is, in a line of the log now and then."""
     began = last = time.monotonic()
-    of_all = total
+    of_all, before = total, None  # what was done before, where a work goes on, took none of this time
 
     def say(*, done: int, total: int | None = None, text: str = "") -> None:
-        nonlocal last, of_all
+        nonlocal last, of_all, before
         of_all, now = total or of_all, time.monotonic()
+        before = max(0, done - 1) if before is None else before
         if now - last < LINE_EVERY_S:
             return
         last = now
-        left = f", about {duration((now - began) * (of_all - done) / done)} left" if of_all and 0 < done < of_all else ""
+        left = f", about {duration((now - began) * (of_all - done) / (done - before))} left" if of_all and before < done < of_all else ""
         print(f"{what}: {done}{f' of {of_all}' if of_all else ''}{left}{f'; {text}' if text else ''}", file=sys.stderr, flush=True)
 
     return say
