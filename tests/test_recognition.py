@@ -39,11 +39,11 @@ def test_what_there_is_to_explain_is_the_error_of_staying_at_the_first_percept(t
 
 @pytest.mark.parametrize("options", [PAPER, REGRESSION], ids=["paper", "regression"])
 def test_recognition_regenerates_a_new_sequence(trained: PDVMRNN, options: PlanOptions) -> None:
-    shown = bar(0.55)
+    shown = bar(0.45)  # the prior mean imagines one of 0.55
     found = Planner(trained, None, replace(options, iterations=min(options.iterations, 30))).recognise(shown)
     objective = ToSequence(sensed_of(trained, shown))
     prior = problem_to(trained, shown, horizon=len(shown)).imagine(trained.intention_table.prior_mean(1))
-    assert found.error < 0.5 * objective.errors(prior)[0].item()
+    assert found.error < 0.2 * objective.errors(prior)[0].item()
     assert found.error == pytest.approx(objective.errors(found.generated)[0].item(), rel=1e-6)
     joints = trained.coding.decode(found.generated.log_codes[0].exp()).numpy()
     assert np.abs(joints - shown.joints).max() < 0.15
