@@ -10,7 +10,7 @@ from preimage.evaluation import ablation
 from preimage.evaluation.ablation import Variant, ablate, sign_test, summed_up, variants_of
 from preimage.evaluation.recipes import Cell, cells_of, learning_of, network_of
 from preimage.presets import PlanOptions
-from preimage.report.results import ablation_table, presets_table
+from preimage.report.tables import ablation_table, presets_table
 
 
 def options_of(variant: Variant) -> PlanOptions:

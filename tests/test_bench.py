@@ -11,7 +11,7 @@ from preimage.network.config import ModelConfig, Sensors
 from preimage.network.linear import Conv, Linear
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import TrainOptions
-from preimage.report.results import speed_table
+from preimage.report.tables import speed_table
 
 SENSORS = Sensors(16, 16, 1, ("a", "b"), (-1.0, -1.0), (1.0, 1.0))
 

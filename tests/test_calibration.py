@@ -48,6 +48,15 @@ def test_probabilities_are_those_of_the_outcomes() -> None:
     np.testing.assert_allclose([bias, weights[0]], [3, 1.5], atol=0.25)
 
 
+def test_evidence_of_what_cannot_be_refuses_and_says_nothing_of_how_likely() -> None:
+    evidence = [{"error": float(number), "thing": float(number % 3)} for number in range(30)]
+    reached = [number < 15 for number in range(30)]
+    known = Calibration.of(evidence, reached, possible=reached, refusing=["thing"])
+    assert known.weights[0] > 0 == known.weights[1]
+    assert known.is_refused({"error": 0.0, "thing": 50.0})
+    assert not known.is_refused({"error": 0.0, "thing": 0.0})
+
+
 def test_evidence_that_would_speak_for_a_plan_gets_no_weight() -> None:
     rng = np.random.default_rng(2)
     rows = rng.normal(size=(500, 2))

@@ -25,7 +25,7 @@ from preimage.evaluation.held_out import (
 )
 from preimage.presets import Planner, PlanOptions, remember
 from preimage.records import Percept, Plan, Shown, Stopped
-from preimage.report.results import evaluations_among, held_out_table
+from preimage.report.tables import evaluations_among, held_out_table
 from shared import make_demonstration
 
 QUICK = ["--iterations", "1", "--horizon", "4"]
