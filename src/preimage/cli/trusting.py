@@ -34,7 +34,7 @@ def calibrate_(
 
     Args:
         run: a run folder, or the name of a bundled model.
-        goals: how many the simulator draws as the demonstrations were; half as many lie beyond, a quarter as many are impossible pictures.
+        goals: how many the simulator draws as the demonstrations were; as many lie beyond, a quarter as many are impossible pictures.
         seed: draws the goals; take another one than the demonstrations were recorded with, and than is evaluated with.
         task: name of the task; by default the one that the run was trained on.
         data: recordings instead of the simulator, those of them that were never trained on: a plan succeeds that ends in their joints.
@@ -45,7 +45,7 @@ def calibrate_(
     from preimage.compute.devices import torch_device
     from preimage.compute.precision import describe_precision
     from preimage.compute.threads import choose_threads
-    from preimage.evaluation.trust import PRACTICE_SHARE, RIM_SHARE, calibrate, calibrate_by_recordings
+    from preimage.evaluation.trust import PRACTICE_SHARE, calibrate, calibrate_by_recordings
     from preimage.robot import TASKS, Arm, with_frames
     from preimage.storage.runs import find_run, read_config
 
@@ -59,7 +59,7 @@ def calibrate_(
     planner = load_planner(folder, config, device=torch_device(device))
     remark(describe_precision(config.precision, planner.model.home_pixels.device))
     remark(choose_threads())
-    num_possible = len(recorded) if data else goals + goals // RIM_SHARE
+    num_possible = len(recorded) if data else 2 * goals
     with following("calibrating", total=num_possible + (len(recorded) or goals) // PRACTICE_SHARE) as follow:
         tell = counted(follow)
         if data:

@@ -27,8 +27,8 @@ from preimage.robot.rim import sample_rim, sense_ends
 
 AREA, RIM = "area", "rim"
 """Goals drawn as those of the demonstrations, and goals beyond them."""
-RIM_SHARE, PRACTICE_SHARE = 2, 4
-"""For so many goals of the area there is one on the rim, and one impossible picture to calibrate by."""
+PRACTICE_SHARE = 4
+"""For so many goals of the area there is one impossible picture to calibrate by."""
 NUM_BINS = 10
 """Bins of the reliability diagram, each of as many goals."""
 SAME_JOINTS_SHARE = 0.05
@@ -98,7 +98,7 @@ def impossible(kind: str, planner: Planner, start: Percept, goal: np.ndarray) ->
 
 
 def calibrate(planner: Planner, arm: Arm, task: Task, *, goals: int, seed: int, progress: Progress | None = None) -> Calibration:
-    """Learn what the planner's evidence means from goals of the area, half as many on the rim and a quarter as many pictures.
+    """Learn what the planner's evidence means from goals of the area, as many on the rim and a quarter as many pictures.
 
     Args:
         goals: how many of the area.
@@ -111,7 +111,7 @@ def calibrate(planner: Planner, arm: Arm, task: Task, *, goals: int, seed: int, 
     recorded = record(arm, task, count=goals, seed=seed)
     assessed = [
         *told(goals_of_area(planner, arm, task, recorded), progress),
-        *told(goals_on_rim(planner, arm, task, goals=goals // RIM_SHARE, seed=seed), progress),
+        *told(goals_on_rim(planner, arm, task, goals=goals, seed=seed), progress),
         *told(practice_goals(planner, recorded, goals=goals // PRACTICE_SHARE, seed=seed), progress),
     ]
     return calibration_of(assessed, planner)
@@ -147,7 +147,9 @@ def calibration_of(assessed: Sequence[Assessed], planner: Planner) -> Calibratio
     reached, area = [one.reached for one in assessed], [one.kind == AREA for one in assessed]
     not_missed = [one.kind == AREA and one.reached for one in assessed]
     possible = not_missed if 2 * sum(not_missed) >= sum(area) else area
-    return Calibration.of(evidence, reached, possible=possible, plan=planner.options.calibrated_with())
+    return Calibration.of(
+        evidence, reached, possible=possible, refusing=planner.assessment.refusing, plan=planner.options.calibrated_with()
+    )
 
 
 def examine(
@@ -160,7 +162,7 @@ def examine(
     seed: int,
     progress: Progress | None = None,
 ) -> list[Assessed]:
-    """Plans to goals of the area, half as many and more on the rim, and impossible pictures of all twelve kinds.
+    """Plans to goals of the area, three quarters as many on the rim, and impossible pictures of all twelve kinds.
 
     Args:
         goals: how many of the area; three quarters as many are on the rim.

@@ -14,7 +14,7 @@ True
 (False, True, 0.17)
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -23,12 +23,12 @@ from jaxtyping import Bool, Float
 
 FALSE_REFUSALS = 0.02
 """Share of the goals that would be reached that may be refused, where so small a share can be promised."""
-RIDGE = 1.0
+RIDGE = 0.3
 """Penalty of a squared weight, as much as a goal with that loss: evidence that says little gets little weight."""
-FARTHEST = 8.0
-"""Evidence counts for the probability up to so many spreads from the usual."""
+FARTHEST = -3.0, 8.0
+"""Evidence counts for the probability down and up to so many spreads from the usual."""
 SPREAD_QUANTILE = 0.9
-"""The spread of evidence is from the median of possible goals to this quantile of them: what lies below the median is no evidence."""
+"""The spread of evidence is from the median of possible goals to this quantile of them."""
 EVERY = 3
 """Of the possible goals every third says what is usual; the others set the limit of refusals."""
 SMALLEST_SPREAD = 0.3
@@ -76,13 +76,22 @@ class Calibration:
             raise ValueError(f"num_stranger is {self.num_stranger} of {self.num_possible} goals")
 
     @classmethod
-    def of(cls, evidence: Sequence[Evidence], reached: Sequence[bool], *, possible: Sequence[bool], plan: Options | None = None) -> Self:
+    def of(
+        cls,
+        evidence: Sequence[Evidence],
+        reached: Sequence[bool],
+        *,
+        possible: Sequence[bool],
+        refusing: Collection[str] = (),
+        plan: Options | None = None,
+    ) -> Self:
         """Learn from what became of goals.
 
         Args:
             evidence: of each goal, all of the same names.
             reached: whether its plan succeeded.
             possible: whether it is one of those goals that are not to be refused: drawn as the demonstrations were, and reached.
+            refusing: names of evidence that says what cannot be, and nothing of how likely is what can: it counts for refusals alone.
 
         Raises:
             ValueError: there are too few possible goals that were reached, or names differ.
@@ -98,7 +107,9 @@ class Calibration:
         spread = rounded(np.maximum(np.quantile(rows[of_usual], SPREAD_QUANTILE, axis=0) - usual, SMALLEST_SPREAD))
         known[of_usual] = False
         scaled = (rows - usual) / spread
-        bias, weights = fit_logistic(np.clip(scaled, 0, FARTHEST), np.array(reached, bool))
+        telling = np.array([name not in refusing for name in names])
+        weights = np.zeros(len(names))
+        bias, weights[telling] = fit_logistic(np.clip(scaled[:, telling], *FARTHEST), np.array(reached, bool))
         limit, num_stranger = limit_of(strangeness_of(scaled[known]))
         return cls(
             names, tuple(usual.tolist()), tuple(spread.tolist()), tuple(rounded(weights).tolist()), round(bias, 6), limit,
@@ -111,7 +122,7 @@ class Calibration:
 
     def probability(self, evidence: Evidence) -> float:
         """Of success; falls with each evidence."""
-        against = np.dot(self.weights, np.clip(self.scaled(evidence), 0, FARTHEST))
+        against = np.dot(self.weights, np.clip(self.scaled(evidence), *FARTHEST))
         return float(1 / (1 + np.exp(against - self.bias)))
 
     def strangeness(self, evidence: Evidence) -> float:

@@ -9,6 +9,7 @@ that is done, and change nothing about it. What they mean is learned from goals 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -17,7 +18,7 @@ from torch import Tensor
 
 from preimage.ideas.calibration import Calibration
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
-from preimage.ideas.kriging import Endings, Kernel, fits
+from preimage.ideas.kriging import Endings, Kernel, fits, usual
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.unseen_parts import in_few_rows, thing_in_the_open, unseen_part
 from preimage.network.coding import to_pixels
@@ -40,6 +41,7 @@ REASONS = {
     "start_residual": START_UNLIKE,
     "start_joints": START_UNLIKE,
     "start_picture": START_UNLIKE,
+    "start_uncertainty": START_UNLIKE,
     "goal_blend": OFF_DEMONSTRATED,
     "goal_picture": OFF_DEMONSTRATED,
     "final_joints": OFF_DEMONSTRATED,
@@ -50,6 +52,8 @@ REASONS = {
     "little_change": ALREADY_THERE,
 }
 """The evidence by name, and what it says in words where there is much of it."""
+REFUSING = "goal_part", "in_the_open"
+"""Evidence of what cannot be. A hand between demonstrated hands is strange by it too, and reached, so it says nothing of how likely."""
 PLACE = 1 / 16
 """Side of the place that is imagined worst, in heights of a frame: about a hand, or a thing on the table."""
 UNLIKELY = 0.5
@@ -66,6 +70,9 @@ MOST_ALIKE = 24
 """Endings, those that look most like the goal, in which its parts are looked for: the others have their hands elsewhere."""
 FINEST_JOINT = 5e-3
 """Difference of joints, as a share of their range, below which they are the same: a code resolves no more."""
+START_LENGTH, START_NOISE = 10.0, 1e-2
+"""Squared length, in median squared distances, and noise of the kernel between start pictures: a smooth one, by which a scene lies inside
+of those demonstrated or outside (docs/log.md)."""
 NEIGHBOURS = 5
 """Endings that look most like the goal, by which it is seen whether alike pictures have alike joints."""
 FEWEST = 3
@@ -89,6 +96,7 @@ class Assessment:
     memory: DemonstrationMemory | None = None
     calibration: Calibration | None = None
     otherwise: bool = False
+    refusing: ClassVar = REFUSING
 
     def __call__(self, plan: Plan) -> Trust:
         evidence = self.evidence(plan)
@@ -147,7 +155,9 @@ class Demonstrated:
 
     background: Float[Tensor, "C H W"]
     first_background: Float[Tensor, "C H W"]
-    first_objects: Float[Tensor, "N G"]
+    starts: Endings
+    """What stood where when demonstrations began."""
+    start_kernel: Kernel
     first_joints: Float[Tensor, "N J"]
     """In shares of the joints' ranges, as are the other joints here."""
     last_frames: Float[Tensor, "N P"]
@@ -167,11 +177,13 @@ class Demonstrated:
         joint_range = plain(model.coding.upper - model.coding.lower)
         arrivals, joints = plain(memory.arrivals).flatten(1), plain(memory.final_joints) / joint_range
         kernel = min(fits(arrivals[0], Endings(arrivals), joints), key=lambda fit: fit.residual).kernel
+        starts = Endings(plain(memory.first_objects).flatten(1))
         left_out = [(kernel.inverse @ padded(values))[:-1] / kernel.inverse.diagonal()[:-1, None] for values in (arrivals, joints)]
         return cls(
             background=plain(memory.background),
             first_background=plain(memory.first_background),
-            first_objects=plain(memory.first_objects).flatten(1),
+            starts=starts,
+            start_kernel=starts.kernel(START_LENGTH * float(usual(starts.distances)), START_NOISE),
             first_joints=plain(memory.first_joints) / joint_range,
             last_frames=plain(memory.last_frames).flatten(1),
             final_pictures=to_pixels(memory.final_pictures.cpu().movedim(1, -1)),
@@ -192,23 +204,23 @@ class Demonstrated:
             arrival: what is imagined where the plan arrives.
         """
         came = arrived(start, goal, self.background).flatten()
-        apart_from = (self.arrivals - came).square().sum(1)
-        towards = torch.cat([1 / (1 + apart_from / self.kernel.length), torch.ones(1).double()])
-        weights = towards @ self.kernel.inverse
-        alike = apart_from.argsort()[:NEIGHBOURS]
+        standing = apart(start - self.first_background).flatten()
+        weights, variance = blended(self.kernel, self.arrivals, came)
+        alike = (self.arrivals - came).square().sum(1).argsort()[:NEIGHBOURS]
         seen, imagined_end = in_few_rows(torch.stack([goal, arrival]))
         most_alike = self.final_pictures[(self.final_pictures - seen).square().sum((1, 2, 3)).argsort()[:MOST_ALIKE]]
         begun, final = self.shares(plan.start.joints), self.shares(plan.joints[plan.arrival_step])
         found = {
             "goal_blend": log((weights @ padded(self.arrivals) - came).norm() / self.blend_error),
-            "uncertainty": log(1 + self.kernel.noise - weights @ towards, 1e-8),
+            "uncertainty": log(variance, 1e-8),
             "ambiguity": log(self.joint_errors[alike].square().mean().sqrt(), FINEST_JOINT),
             "goal_part": log(unseen_part(seen, torch.cat([imagined_end[None], most_alike])), FINEST_PART),
             "in_the_open": log(thing_in_the_open(seen, imagined_end, in_few_rows(self.background)), FINEST_THING),
             "goal_picture": log(nearest(blurred(goal, BLUR), self.last_frames)),
             "final_joints": log(nearest(final, self.final_joints), FINEST_JOINT),
             "start_joints": log(nearest(begun, self.first_joints), FINEST_JOINT),
-            "start_picture": log(nearest(apart(start - self.first_background), self.first_objects), 1e-3),
+            "start_picture": log(nearest(standing, self.starts.points), 1e-3),
+            "start_uncertainty": log(blended(self.start_kernel, self.starts.points, standing)[1], 1e-8),
             "little_change": -log(came.norm() / self.arrivals.norm(dim=1).median(), 1e-3),
         }
         if plan.imagined_joints is not None:
@@ -234,6 +246,13 @@ def worst_place(difference: Float[Tensor, "C H W"]) -> Float[Tensor, ""]:
     """The largest mean square of a difference over a place of the picture."""
     side = max(1, int(PLACE * difference.shape[1]))
     return torch.nn.functional.avg_pool2d(difference.square().mean(0)[None, None], side, max(1, side // 2)).max()
+
+
+def blended(kernel: Kernel, known: Float[Tensor, "N V"], wanted: Float[Tensor, " V"]) -> tuple[Float[Tensor, " M"], Float[Tensor, ""]]:
+    """The weights by which kriging blends what is known to what is wanted, and the variance of that."""
+    towards = torch.cat([1 / (1 + (known - wanted).square().sum(1) / kernel.length), torch.ones(1).double()])
+    weights = towards @ kernel.inverse
+    return weights, 1 + kernel.noise - weights @ towards
 
 
 def nearest(wanted: Tensor, known: Float[Tensor, "N V"]) -> Float[Tensor, ""]:
