@@ -16,8 +16,9 @@ from preimage.network.config import ModelConfig
 from preimage.storage.checkpoints import CHECKPOINT, append_to_log, forget_after
 from preimage.storage.checksums import is_damaged_safetensors, is_damaged_zip
 from preimage.storage.locks import LOCK, locked
-from preimage.storage.runs import load_model, read_log, read_shown
-from preimage.storage.validation import WEIGHTS
+from preimage.storage.networks import load_model
+from preimage.storage.run_files import WEIGHTS
+from preimage.storage.runs import read_log, read_shown
 from test_output_folders import tree
 from test_train import demonstrations, weights
 

@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 
 from preimage import cli
 from preimage.storage.recordings import save
-from preimage.storage.validation import WEIGHTS
+from preimage.storage.run_files import WEIGHTS
 from recordings import DATA, edit_json
 from shared import make_demonstration
 

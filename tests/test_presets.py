@@ -20,8 +20,8 @@ from preimage.network.config import ModelConfig
 from preimage.network.inputs import home
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import Planner, PlanOptions, TrainOptions, load_memory, load_planner, network_config
+from preimage.storage.networks import write_tensors
 from preimage.storage.run_files import MEMORY
-from preimage.storage.runs import write_tensors
 
 PRESETS = "paper", "regression", "full"
 

@@ -10,8 +10,9 @@ from PIL import Image
 from preimage.data.sequences import sensors_of
 from preimage.data.sources import find_percept, read_image
 from preimage.data.view import seen_by
+from preimage.storage.networks import load_model
 from preimage.storage.recordings import save
-from preimage.storage.runs import load_model, read_view
+from preimage.storage.runs import read_view
 from shared import make_demonstration
 
 

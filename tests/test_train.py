@@ -25,7 +25,7 @@ from preimage.network.intention import FreeTable, LatentTable
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import TrainOptions, load_memory, remember
 from preimage.records import Demonstration
-from preimage.storage.runs import load_model
+from preimage.storage.networks import load_model
 
 CONFIG = TrainConfig(updates=6, batch_size=2, rest_steps=2, checkpoint_every=2, precision="float32")
 

@@ -32,9 +32,10 @@ if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it to
     from preimage.robot.execution import execute, execute_open_loop
     from preimage.robot.protocol import Robot, drive
     from preimage.robot.simulated import SimulatedRobot
+    from preimage.storage.networks import from_pretrained, load_model
     from preimage.storage.plans import load_plan, save_episode, save_plan
     from preimage.storage.recordings import save
-    from preimage.storage.runs import from_pretrained, load_model, push_to_hub, read_shown
+    from preimage.storage.runs import push_to_hub, read_shown
 
 threads.sleep_while_waiting()
 fast.install()
@@ -124,7 +125,8 @@ ROOMS = {
     "robot.simulated": ("SimulatedRobot",),
     "storage.plans": ("load_plan", "save_episode", "save_plan"),
     "storage.recordings": ("save",),
-    "storage.runs": ("from_pretrained", "load_model", "push_to_hub", "read_shown"),
+    "storage.networks": ("from_pretrained", "load_model"),
+    "storage.runs": ("push_to_hub", "read_shown"),
 }
 """Where each name is at home."""
 ROOM_OF = {name: room for room, names in ROOMS.items() for name in names}

@@ -18,7 +18,8 @@ from preimage.ideas.trust import Assessment
 from preimage.network.inputs import home
 from preimage.presets import Planner, PlanOptions
 from preimage.records import Percept, Trust
-from preimage.storage.runs import find_run, load_model, read_shown
+from preimage.storage.networks import load_model
+from preimage.storage.runs import find_run, read_shown
 
 CAMERA, GOAL = "observation.images.camera", "observation.images.goal"
 

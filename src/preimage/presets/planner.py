@@ -171,7 +171,8 @@ def load_planner(name: str | Path, options: PlanOptions | None = None, *, device
     Raises:
         ValueError: there is no such run, its files are broken, or the options need a memory and it has none.
     """
-    from preimage.storage.runs import find_run, load_model, read_body
+    from preimage.storage.networks import load_model
+    from preimage.storage.runs import find_run, read_body
 
     options, name = options or PlanOptions.full(), find_run(name)  # once, so that all parts of a run on the Hub are of one revision
     model = load_model(name)
@@ -188,7 +189,8 @@ def load_memory(name: str | Path, *, device: "torch.device | None" = None) -> "D
         ValueError: there is none, or it is broken.
     """
     from preimage.ideas.memory import DemonstrationMemory
-    from preimage.storage.runs import find_run, read_tensors
+    from preimage.storage.networks import read_tensors
+    from preimage.storage.runs import find_run
 
     tensors = read_tensors(find_run(name) / MEMORY)
     try:

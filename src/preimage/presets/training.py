@@ -36,7 +36,7 @@ def train(
     from preimage.compute.processes import ProcessGroup
     from preimage.method.train import train as train_by_the_paper
     from preimage.storage.checkpoints import append_to_log
-    from preimage.storage.runs import load_model, write_tensors
+    from preimage.storage.networks import load_model, write_tensors
 
     config, group = config or TrainOptions(), group or ProcessGroup()
 

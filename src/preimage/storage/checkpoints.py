@@ -20,10 +20,10 @@ from preimage.storage.atomic_write import atomic_write, remove, write_json
 from preimage.storage.checksums import is_damaged_zip, saved_by_torch, with_checksum_in_zip
 from preimage.storage.hub import CARD
 from preimage.storage.locks import LOCK, locked
+from preimage.storage.networks import write_weights
 from preimage.storage.output_folders import LEFT_BY_OTHERS
-from preimage.storage.run_files import HELD_OUT, LOG
-from preimage.storage.runs import NETWORK_KEYS, part_of, read_config, read_log, write_config, write_shown, write_weights
-from preimage.storage.validation import WEIGHTS
+from preimage.storage.run_files import HELD_OUT, LOG, WEIGHTS
+from preimage.storage.runs import NETWORK_KEYS, part_of, read_config, read_log, write_config, write_shown
 
 CHECKPOINT = "resume.pt"
 UNFINISHED_BY_ANYBODY = re.compile(r"\..+\.part")

@@ -1,5 +1,7 @@
 """Names of what may lie beside a run's weights; without torch, so that the command line can name them at once."""
 
+WEIGHTS = "model.safetensors"
+"""Weights and intention table; a training writes them with its first checkpoint."""
 LOG = "log.jsonl"
 """Errors of the training, one line an update."""
 MEMORY = "memory.safetensors"

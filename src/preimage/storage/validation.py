@@ -3,14 +3,17 @@
 import json
 import math
 from collections.abc import Mapping
-
-import torch
+from typing import TYPE_CHECKING
 
 from preimage.network.config import ModelConfig, Sensors
-from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
+from preimage.storage.run_files import WEIGHTS
 
-WEIGHTS = "model.safetensors"
+if TYPE_CHECKING:
+    import torch
+
+    from preimage.network.pdvmrnn import PDVMRNN
+
 OURS = "home_pixels"
 """A tensor of every network of ours."""
 PICKLED = b"\x80", b"PK\x03\x04"
@@ -43,7 +46,7 @@ def validate_size(config: ModelConfig, sensors: Sensors, num_sequences: int, *, 
         raise ValueError(f"its network is larger than {WEIGHTS}")
 
 
-def tensors_unlike(model: PDVMRNN, tensors: Mapping[str, torch.Tensor]) -> str | None:
+def tensors_unlike(model: "PDVMRNN", tensors: "Mapping[str, torch.Tensor]") -> str | None:
     """The first reason why tensors are not the weights of a model; None where they are."""
     wanted = model.state_dict()
     for name in [*wanted, *tensors]:

@@ -9,8 +9,9 @@ from preimage.network.config import Sensors
 from preimage.presets import Planner, PlanOptions, Preset, ReplanConfig, load_calibration, load_memory
 from preimage.robot import TASKS, Arm
 from preimage.robot.limits import Limits, limits_seen
+from preimage.storage.networks import load_model
 from preimage.storage.run_files import MEMORY
-from preimage.storage.runs import find_run, load_model, made_from, read_body, read_config, read_settings, read_shown, read_view
+from preimage.storage.runs import find_run, made_from, read_body, read_config, read_settings, read_shown, read_view
 from preimage.studio.table import Table
 
 WAYS: dict[Preset, str] = {

@@ -14,8 +14,9 @@ from preimage.network.coding import to_frames
 from preimage.network.inputs import home
 from preimage.presets import PlanOptions
 from preimage.records import Demonstration
-from preimage.storage.run_files import HELD_OUT, LOG
-from preimage.storage.runs import WEIGHTS, load_model, part_of, read_config, read_log, read_view
+from preimage.storage.networks import load_model
+from preimage.storage.run_files import HELD_OUT, LOG, WEIGHTS
+from preimage.storage.runs import part_of, read_config, read_log, read_view
 from preimage.studio.pictures import strip, text_of
 from preimage.studio.problems import Refusal
 from preimage.studio.recordings import Recordings
