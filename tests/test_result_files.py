@@ -59,7 +59,7 @@ def test_a_result_that_was_changed_anywhere_is_reported_or_named(tmp_path, kind)
     assert refused
 
 
-@pytest.mark.parametrize("content", [b"", b"[1]", b"{", b"\xff", b"[" * 100_000, b'{"task": NaN}'])
+@pytest.mark.parametrize("content", [b"", b"[1]", b"{", b"\xff", b"[" * 100_000, b'{"task": NaN}', rb'{"task": "\ud83d"}'])
 def test_what_is_no_json_object_is_named(tmp_path, content):
     (tmp_path / "other.json").write_bytes(content)
     with pytest.raises(ValueError, match=r"other.json is no result \(.*\): remove it, or write it anew"):

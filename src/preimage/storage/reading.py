@@ -22,6 +22,8 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.lib import format as npy
 
+from preimage.data.files import HALF, loads
+
 Record = TypeVar("Record")
 
 LONGEST_JSON = 64 << 20
@@ -59,11 +61,13 @@ def parse_json(path: Path) -> Any:
     try:
         if path.stat().st_size > LONGEST_JSON:
             raise ValueError
-        return json.loads(path.read_bytes().decode("utf-8-sig"))
+        return loads(path.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise ValueError(f"it cannot be opened: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise ValueError("it is no text in UTF-8") from error
+    except UnicodeEncodeError as error:
+        raise ValueError(f"it {HALF}") from error
     except json.JSONDecodeError as error:
         raise ValueError(f"it is no JSON from line {error.lineno}, column {error.colno} on") from error
     except (RecursionError, ValueError) as error:  # lists in lists in lists; a number of thousands of digits
