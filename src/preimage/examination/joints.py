@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from preimage.data.joint_range import FULL_TURN_RAD
-from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, leaving_out
+from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, leaving_out, of_joints
 from preimage.examination.seen import Recorded, Seen, divisors, spans, wide_spans
 from preimage.records import listed
 
@@ -34,7 +34,7 @@ def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
         joints |= {one.joint_names[joint] for joint in which}
     if places:
         names = tuple(sorted(joints))
-        what = f"{', '.join(names)} hold no number at {at_places(places)}"
+        what = f"{of_joints(names, 'holds', 'hold')} no number at {at_places(places)}"
         episodes = episodes_of(places)
         yield Finding(Kind.NOT_FINITE, Severity.FAULT, what, leaving_out(episodes), episodes, tuple(places), names)
 
@@ -63,7 +63,12 @@ def frozen(seen: Sequence[Seen]) -> Iterator[Finding]:
     if still.all():
         yield Finding(Kind.FROZEN, Severity.FAULT, "no joint ever moves", "look whether the joints were recorded", joints=names)
     elif names:
-        what = f"{', '.join(names)} hardly move within an episode; training leaves them out where they are not named (--view.joints)"
+        what = of_joints(
+            names,
+            "hardly moves within an episode; training leaves it out where it is",
+            "hardly move within an episode; training leaves them out where they are",
+        )
+        what += " not named (--view.joints)"
         yield Finding(Kind.FROZEN, Severity.NOTE, what, joints=names)
 
 
@@ -73,7 +78,7 @@ def out_of_range(seen: Sequence[Seen]) -> Iterator[Finding]:
     beyond = farthest > FULL_TURN_RAD
     if beyond.any() and beyond.mean() < 0.5:
         names = _named(seen, beyond)
-        what = f"{', '.join(names)} go to {farthest.max():.3g} while the others look like radians"
+        what = f"{of_joints(names, 'goes', 'go')} to {farthest.max():.3g} while the others look like radians"
         episodes = tuple(one.index for one in seen if (np.abs(one.joints) > FULL_TURN_RAD).any())
         help_ = "look at the unit, and for an encoder that counts turns"
         yield Finding(Kind.RANGE, Severity.WARNING, what, help_, episodes, joints=names)
@@ -94,7 +99,7 @@ def jumps(seen: Sequence[Seen]) -> Iterator[Finding]:
         places += [(one.index, int(step)) for step in np.flatnonzero(strange.any(1))]
     if places:
         names, episodes = _named(seen, joints), episodes_of(places)
-        what = f"{', '.join(names)} jump at {at_places(places)}, far faster than anywhere else"
+        what = f"{of_joints(names, 'jumps', 'jump')} at {at_places(places)}, far faster than anywhere else"
         help_ = f"{leaving_out(episodes)}, or look at the sensor's cable"
         yield Finding(Kind.JUMP, Severity.WARNING, what, help_, episodes, tuple(places), names)
 

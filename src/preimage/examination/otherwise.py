@@ -6,10 +6,9 @@ changes between episodes: how far the joints go, where they start, and what stan
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float32, UInt8
 
 from preimage.data.view import LONGEST
 from preimage.examination.findings import Finding, Kind, Severity, in_episodes, leaving_out
@@ -39,16 +38,6 @@ AS_ALIKE, NOISE = 1.1, 0.2
 averaged over blocks."""
 LEAST_EPISODES = 3
 """Of two nobody can say which is the odd one."""
-
-
-@dataclass(frozen=True, eq=False)
-class Begun:
-    """As much of an episode as is compared."""
-
-    index: int
-    joint_names: tuple[str, ...]
-    joints: Float[np.ndarray, "T J"]
-    first: UInt8[np.ndarray, "H W C"] | None
 
 
 def recorded_otherwise(seen: Sequence[Recorded]) -> Iterator[Finding]:
