@@ -27,15 +27,15 @@ from preimage.data.angles import Wrap
 from preimage.data.clocks import is_clock
 from preimage.data.files import leave_out
 from preimage.data.lerobot_info import EXTRAS, INFO
-from preimage.data.quaternions import changes_its_sign
 from preimage.data.questions import naming, questions_about
 from preimage.data.view import (
     COLOURS,
     Eye,
     View,
+    attitudes_of,
+    is_made_continuous,
     made_continuous,
     moving,
-    quaternions_of,
     read_through,
     reading_by,
     telling_channels,
@@ -94,6 +94,7 @@ def open_recordings(
     only: Collection[int] | None = None,
     without: Collection[int] = (),
     progress: Callable[..., None] | None = None,
+    look: Callable[[Episode], None] | None = None,
 ) -> Opened:
     """The demonstrations of a data set, how they were looked at, and a summary of it.
 
@@ -105,6 +106,7 @@ def open_recordings(
         only: numbers of the episodes to read; by default all.
         without: numbers of episodes to leave out.
         progress: called after each episode with the number that is `done` and the `total`.
+        look: called with each episode as `read_episodes` has it.
 
     Raises:
         ValueError: the folder is no data set, or part of it is missing, damaged or contradicts the rest.
@@ -114,6 +116,8 @@ def open_recordings(
     episodes = []
     for episode in room.read_episodes(folder, eye, chosen):
         episodes.append(_whole(episode, folder))
+        if look:
+            look(episode if view.joints is None else _with_joints(episode, view.joints, folder))
         if progress:
             progress(done=len(episodes), total=len(chosen))
     demonstrations = [_demonstration(episode, folder) for episode in episodes]
@@ -123,9 +127,9 @@ def open_recordings(
         _refuse_what_is_asked(demonstrations, folder)
     recorded = [each.joints for each in demonstrations]
     if view.wraps is None:
-        read, quaternions, wraps = made_continuous(recorded, names, episodes=numbers)
+        read, attitudes, wraps = made_continuous(recorded, names, episodes=numbers)
     else:  # as the run does that the recordings are looked at for
-        read, quaternions, wraps = [read_through(view, each, names) for each in recorded], quaternions_of(view), wraps_of(view)
+        read, attitudes, wraps = [read_through(view, each, names) for each in recorded], attitudes_of(view), wraps_of(view)
     demonstrations = [replace(each, joints=joints) for each, joints in zip(demonstrations, read, strict=True)]
     joints = view.joints or _chosen_joints(demonstrations, folder)
     if lost := [wrap for wrap in wraps if wrap.impossible and wrap.joint in joints]:
@@ -137,11 +141,11 @@ def open_recordings(
     channels = demonstrations[0].frames.shape[-1]
     if view.colour == "keep" and (telling := telling_channels([each.frames for each in demonstrations])) != channels:
         channels, demonstrations = telling, [replace(each, frames=each.frames[..., :telling].copy()) for each in demonstrations]
-    resolved = reading_by(replace(eye.view, joints=joints, colour=COLOURS.get(channels, "keep")), kept, quaternions)
+    resolved = reading_by(replace(eye.view, joints=joints, colour=COLOURS.get(channels, "keep")), kept, attitudes)
     tasks = {episode.task for episode in episodes}
     lines = [*_summary(demonstrations, numbers, description, resolved, chosen=view.joints is not None)]
     lines += [reads_past(wrap, len(numbers)) for wrap in kept if wrap.episodes]
-    lines += [changes_its_sign(each, len(numbers)) for each in quaternions if each.episodes]
+    lines += [is_made_continuous(each, len(numbers)) for each in attitudes if each.episodes]
     return Opened(demonstrations, numbers, resolved, body, tasks.pop() if len(tasks) == 1 else None, tuple(lines))
 
 
@@ -346,7 +350,7 @@ def _summary(
     if chosen:
         yield f"{number}; left out: {', '.join(left_out)}"
         return
-    why = f"; left out, for they do not move: {', '.join(still)}" if still else ""
+    why = f"; left out, for {'they do' if len(still) > 1 else 'it does'} not move: {', '.join(still)}" if still else ""
     yield f"{number}{why}" + (f"; left out as {'clocks' if len(clocks) > 1 else 'a clock'}: {', '.join(clocks)}" if clocks else "")
 
 

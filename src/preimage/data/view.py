@@ -28,7 +28,9 @@ from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
 from preimage.data.angles import Wrap, find_wraps, unwrapped
-from preimage.data.quaternions import NUM_PARTS, Quaternion, find_quaternions, on_one_side
+from preimage.data.quaternions import NUM_PARTS, Quaternion, changes_its_sign, find_quaternions, on_one_side
+from preimage.data.rotation_vectors import NUM_PARTS as NUM_OF_VECTOR
+from preimage.data.rotation_vectors import RotationVector, find_rotation_vectors, followed, leaps_over
 from preimage.network.config import Sensors
 
 LADDER = 16
@@ -79,6 +81,12 @@ class View:
     """Names of the columns of quaternions, four for each (`data.quaternions`); the data resolve it."""
     poles: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
     """The reading on whose side the first of an episode is taken, four numbers for each."""
+    rotations: Annotated[tuple[str, ...], tyro.conf.Suppress] = ()
+    """Names of the columns of rotation vectors that leap, three for each (`data.rotation_vectors`); the data resolve it."""
+    rotation_turns: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
+    """A full turn of each of them, in its unit."""
+    rotation_poles: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
+    """The reading nearest to which the first of an episode is taken, three numbers for each."""
 
 
 def wraps_of(view: View) -> list[Wrap]:
@@ -86,14 +94,21 @@ def wraps_of(view: View) -> list[Wrap]:
     return [Wrap(*wrap) for wrap in zip(view.wraps or (), view.turns, view.seams, strict=True)]
 
 
-def quaternions_of(view: View) -> list[Quaternion]:
-    """On which side the view keeps quaternions."""
-    parts = [slice(begin, begin + NUM_PARTS) for begin in range(0, len(view.quaternions), NUM_PARTS)]
-    return [Quaternion(view.quaternions[each], view.poles[each]) for each in parts]
+def attitudes_of(view: View) -> list[Quaternion | RotationVector]:
+    """On which side the view keeps quaternions, and how it follows rotation vectors."""
+    quaternions = [Quaternion(view.quaternions[part], view.poles[part]) for part in _parts(view.quaternions, NUM_PARTS)]
+    parts = zip(_parts(view.rotations, NUM_OF_VECTOR), view.rotation_turns, strict=True)
+    return quaternions + [RotationVector(view.rotations[part], turn, view.rotation_poles[part]) for part, turn in parts]
 
 
-def reading_by(view: View, wraps: Sequence[Wrap], quaternions: Sequence[Quaternion]) -> View:
-    """The view that reads joints so (`wraps_of`, `quaternions_of`)."""
+def _parts(names: Sequence[str], count: int) -> list[slice]:
+    return [slice(begin, begin + count) for begin in range(0, len(names), count)]
+
+
+def reading_by(view: View, wraps: Sequence[Wrap], attitudes: Sequence[Quaternion | RotationVector]) -> View:
+    """The view that reads joints so (`wraps_of`, `attitudes_of`)."""
+    quaternions = [each for each in attitudes if isinstance(each, Quaternion)]
+    rotations = [each for each in attitudes if isinstance(each, RotationVector)]
     return replace(
         view,
         wraps=tuple(wrap.joint for wrap in wraps),
@@ -101,22 +116,36 @@ def reading_by(view: View, wraps: Sequence[Wrap], quaternions: Sequence[Quaterni
         seams=tuple(wrap.seam for wrap in wraps),
         quaternions=tuple(name for each in quaternions for name in each.columns),
         poles=tuple(number for each in quaternions for number in each.pole),
+        rotations=tuple(name for each in rotations for name in each.columns),
+        rotation_turns=tuple(each.turn for each in rotations),
+        rotation_poles=tuple(number for each in rotations for number in each.pole),
     )
 
 
 def made_continuous(
     recordings: Sequence[Float[np.ndarray, "_T J"]], names: Sequence[str], *, episodes: Sequence[int]
-) -> tuple[list[Float[np.ndarray, "_T J"]], list[Quaternion], list[Wrap]]:
-    """The joints of all episodes with quaternions on one side and angles unwrapped, and what of both was found."""
+) -> tuple[list[Float[np.ndarray, "_T J"]], list[Quaternion | RotationVector], list[Wrap]]:
+    """The joints of all episodes, quaternions on one side, rotation vectors followed, angles unwrapped, and what was found of these."""
     quaternions = find_quaternions(recordings, names, episodes=episodes)
     recordings = [on_one_side(joints, names, quaternions) for joints in recordings]
+    rotations = find_rotation_vectors(recordings, names, episodes=episodes)
+    recordings = [followed(joints, names, rotations) for joints in recordings]
     wraps = find_wraps(recordings, names, episodes=episodes)
-    return [unwrapped(joints, names, wraps) for joints in recordings], quaternions, wraps
+    return [unwrapped(joints, names, wraps) for joints in recordings], [*quaternions, *rotations], wraps
+
+
+def is_made_continuous(attitude: Quaternion | RotationVector, num_episodes: int) -> str:
+    """A sentence on an attitude of which readings were changed."""
+    say = changes_its_sign if isinstance(attitude, Quaternion) else leaps_over
+    return say(attitude, num_episodes)  # pyright: ignore[reportArgumentType]
 
 
 def read_through(view: View, joints: Float[np.ndarray, "T J"], names: Sequence[str]) -> Float[np.ndarray, "T J"]:
-    """The joints of an episode, or of one step, as a resolved view reads them: angles unwrapped, quaternions on one side."""
-    return unwrapped(on_one_side(joints, names, quaternions_of(view)), names, wraps_of(view))
+    """The joints of an episode, or of one step, as a resolved view reads them."""
+    attitudes = attitudes_of(view)
+    joints = on_one_side(joints, names, [each for each in attitudes if isinstance(each, Quaternion)])
+    joints = followed(joints, names, [each for each in attitudes if isinstance(each, RotationVector)])
+    return unwrapped(joints, names, wraps_of(view))
 
 
 def default_size(height: int, width: int) -> tuple[int, int]:
