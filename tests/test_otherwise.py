@@ -79,6 +79,16 @@ def test_an_arm_that_was_calibrated_anew_in_between_is_told(tmp_path, change, jo
     assert told == ([f"1 warning (another zero): {says}"] if found else []), "training tells how many warnings there are"
 
 
+@pytest.mark.parametrize("odd", [(1, 3, 5, 7), (2,)], ids=str)
+def test_episodes_that_were_played_backwards_are_told(tmp_path, odd):
+    episodes = [(frames[::-1], joints[::-1]) if number in odd else (frames, joints) for number, (frames, joints) in enumerate(recorded())]
+    found = [each for each in checked(write_v2(tmp_path / "data", episodes)).warnings if each.kind is Kind.BACKWARDS]
+    assert [each.episodes for each in found] == [odd]
+    there_and_back = [(np.concatenate([frames, frames[::-1]]), np.concatenate([joints, joints[::-1]])) for frames, joints in recorded()]
+    for name, sound in (("sound", recorded()), ("there and back", there_and_back)):
+        assert Kind.BACKWARDS not in {each.kind for each in checked(write_v2(tmp_path / name, sound)).findings}
+
+
 @pytest.mark.parametrize("steps", [slice(0, 2), slice(-1, None), slice(2, 4)], ids=str)
 @pytest.mark.parametrize("odd", [range(8), (3,)], ids=str)
 def test_rows_of_zeros_are_no_joints(tmp_path, steps, odd):

@@ -120,6 +120,7 @@ def open_recordings(
             look(episode if view.joints is None else _with_joints(episode, view.joints, folder))
         if progress:
             progress(done=len(episodes), total=len(chosen))
+    episodes, empty = _without_empty(episodes, view.joints or ())
     demonstrations = [_demonstration(episode, folder) for episode in episodes]
     numbers = tuple(episode.index for episode in episodes)
     names = demonstrations[0].joint_names
@@ -143,7 +144,7 @@ def open_recordings(
         channels, demonstrations = telling, [replace(each, frames=each.frames[..., :telling].copy()) for each in demonstrations]
     resolved = reading_by(replace(eye.view, joints=joints, colour=COLOURS.get(channels, "keep")), kept, attitudes)
     tasks = {episode.task for episode in episodes}
-    lines = [*_summary(demonstrations, numbers, description, resolved, chosen=view.joints is not None)]
+    lines = [*_summary(demonstrations, numbers, description, resolved, chosen=view.joints is not None, empty=empty)]
     lines += [reads_past(wrap, len(numbers)) for wrap in kept if wrap.episodes]
     lines += [is_made_continuous(each, len(numbers)) for each in attitudes if each.episodes]
     return Opened(demonstrations, numbers, resolved, body, tasks.pop() if len(tasks) == 1 else None, tuple(lines))
@@ -254,6 +255,8 @@ def _what_to_name(folder: Path) -> str:
     for other in around:
         if other.is_dir() and ((other / INFO).is_file() or plain_folder.is_plain(other)):
             return f"name {other}, which is one"
+    if tables := sorted(path for path in itertools.islice(folder.glob("*/*"), MOST_LOOKED_AT) if path.suffix.lower() == ".csv"):
+        return f"a table of joints is called {plain_folder.TABLE}, and {tables[0]} is not"
     if others := sorted({path.suffix for path in itertools.islice(folder.iterdir(), MOST_LOOKED_AT)} & OTHER_FORMATS):
         return f"convert its {' and '.join(others)} files to a LeRobot data set, or to a folder an episode with pictures and joints.csv"
     return "name the folder that holds meta/ and data/, or the folders of the episodes"
@@ -294,6 +297,19 @@ def _demonstration(episode: Episode, folder: Path) -> Demonstration:
         raise ValueError(f"{folder}, episode {episode.index}: {error}; leave it out by --without-episodes {episode.index}") from None
 
 
+def _without_empty(episodes: Sequence[Episode], kept: Collection[str]) -> tuple[list[Episode], list[str]]:
+    """The episodes without the columns that hold no number in any of them, but for those to be kept, and the names of these columns."""
+    names = episodes[0].joint_names
+    if any(episode.joint_names != names for episode in episodes):
+        return list(episodes), []
+    empty = np.all([np.isnan(episode.joints).all(0) for episode in episodes], axis=0) & [name not in kept for name in names]
+    if not empty.any() or empty.all():
+        return list(episodes), []
+    rest = tuple(name for name, is_empty in zip(names, empty, strict=True) if not is_empty)
+    dropped = [name for name in names if name not in rest]
+    return [replace(episode, joints=episode.joints[:, ~empty], joint_names=rest) for episode in episodes], dropped
+
+
 def _refuse_what_is_asked(demonstrations: Sequence[Demonstration], folder: Path) -> None:
     """Raises ValueError where only the user knows whether a column is to be learned; of a data set that was written here all are."""
     if written_here(folder):
@@ -311,7 +327,7 @@ def _chosen_joints(demonstrations: Sequence[Demonstration], folder: Path) -> tup
     if not any(free):
         raise ValueError(f"{folder} has no joints beside its clocks ({', '.join(names)}): choose what is to be learned by --view.joints")
     candidates = [name for name, is_free in zip(names, free, strict=True) if is_free]
-    return tuple(name for name, moves in zip(candidates, moving([each[:, free] for each in joints]), strict=True) if moves)
+    return tuple(name for name, moves in zip(candidates, moving([each[:, free] for each in joints], candidates), strict=True) if moves)
 
 
 def _held(demonstrations: Sequence[Demonstration], joints: tuple[str, ...]) -> dict[str, float]:
@@ -332,25 +348,32 @@ def _with_joints(recording: Recording, joints: tuple[str, ...], folder: Path) ->
 
 
 def _summary(
-    demonstrations: Sequence[Demonstration], numbers: Sequence[int], description: Description, view: View, *, chosen: bool
+    demonstrations: Sequence[Demonstration],
+    numbers: Sequence[int],
+    description: Description,
+    view: View,
+    *,
+    chosen: bool,
+    empty: Collection[str],
 ) -> Iterator[str]:
     assert view.recorded and view.size  # noqa: PT018
     assert view.joints
     steps, rate_hz = sum(map(len, demonstrations)), description.rate_hz
     yield f"{description.version}: {number_of(len(demonstrations), 'episode')}, {number_of(steps, 'step')} at {rate_hz:g} Hz"
     if (len(numbers), numbers[-1] + 1) != (description.num_episodes, description.num_episodes):
-        yield f"episodes {listed(numbers)}; the data set counts {description.num_episodes}"
+        yield f"episode{'' if len(numbers) == 1 else 's'} {listed(numbers)}; the data set counts {description.num_episodes}"
     yield _camera_line(demonstrations, description, view)
     left_out = [name for name in description.joint_names if name not in view.joints]
     if not left_out:
         yield f"{number_of(len(view.joints), 'joint')}: {', '.join(view.joints)}"
         return
     number = f"{len(view.joints)} of {number_of(len(description.joint_names), 'joint')}: {', '.join(view.joints)}"
-    clocks, still = ([name for name in left_out if is_clock(name) is clock] for clock in (True, False))
+    clocks, still = ([name for name in left_out if is_clock(name) is clock and name not in empty] for clock in (True, False))
     if chosen:
         yield f"{number}; left out: {', '.join(left_out)}"
         return
     why = f"; left out, for {'they do' if len(still) > 1 else 'it does'} not move: {', '.join(still)}" if still else ""
+    why += f"; left out, for nothing was recorded of {'them' if len(empty) > 1 else 'it'}: {', '.join(empty)}" if empty else ""
     yield f"{number}{why}" + (f"; left out as {'clocks' if len(clocks) > 1 else 'a clock'}: {', '.join(clocks)}" if clocks else "")
 
 

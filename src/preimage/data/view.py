@@ -18,6 +18,7 @@ further than `size` asks for: a picture of other proportions than the recordings
 ((64, 64), (64, 64, 3), (64, 64, 3))
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -41,6 +42,10 @@ LIVELY, LEAST, SHARE_OF_RANGE = 1 / 5, 1 / 100, 1 / 3
 """A joint moves where one episode in ten crosses `LIVELY` of what the liveliest joint crosses. As units differ (a gripper in metres beside
 radians), it does too where that is above `LEAST`, the noise of a sensor, and `SHARE_OF_RANGE` of all angles that the joint takes in the
 set: what was only put elsewhere between episodes does not move."""
+GRIPPER = re.compile("grip|finger|jaw|claw|pinch")
+"""In the name of a joint: its unit is its own, metres or ones beside degrees, and what it does is small beside them."""
+MOST_TO_AND_FRO, EVERY_FEW_STEPS = 4.0, 0.1
+"""Times that a gripper opens or closes in an episode, or in a step of it, at most; white noise makes twice as many in 20 steps."""
 ALIKE = 0.02
 """Two sizes have the same proportions where they differ by less than this share: 854x480 counts as 16:9."""
 COLOURS: Mapping[int, Literal["grey", "colour"]] = {1: "grey", 3: "colour"}
@@ -255,13 +260,26 @@ def telling_channels(recordings: Sequence[UInt8[np.ndarray, "_F H W C"]]) -> int
     return channels
 
 
-def moving(recordings: Sequence[Float[np.ndarray, "_T J"]]) -> Bool[np.ndarray, " J"]:
-    """Which joints move; all of them where none does."""
+def moving(recordings: Sequence[Float[np.ndarray, "_T J"]], names: Sequence[str] = ()) -> Bool[np.ndarray, " J"]:
+    """Which joints move; all of them where none does.
+
+    Args:
+        names: of the joints: what is called a gripper moves however small its numbers are, unless it trembles.
+    """
     within = np.quantile([np.ptp(joints, axis=0) for joints in recordings], 0.9, axis=0)  # (J,)
     overall = np.ptp(np.concatenate(recordings), axis=0)
     lively, above_noise = within >= LIVELY * within.max(), within >= LEAST * within.max()
+    above_noise |= [bool(GRIPPER.search(name.lower())) for name in names or [""] * len(within)] & ~_trembling(recordings)
     moves = (within > 0) & (lively | (above_noise & (within >= SHARE_OF_RANGE * overall)))
     return moves if moves.any() else np.ones_like(moves)
+
+
+def _trembling(recordings: Sequence[Float[np.ndarray, "_T J"]]) -> Bool[np.ndarray, " J"]:
+    """Which joints go to and fro as noise does, all their steps together so many times as long as they get."""
+    ways = [np.abs(np.diff(joints, axis=0)).sum(0) for joints in recordings]
+    sizes = [np.maximum(np.ptp(joints, axis=0), np.finfo(float).tiny) for joints in recordings]
+    most = [max(MOST_TO_AND_FRO, EVERY_FEW_STEPS * len(joints)) for joints in recordings]
+    return np.median([way / size / times for way, size, times in zip(ways, sizes, most, strict=True)], axis=0) > 1
 
 
 class Eye:

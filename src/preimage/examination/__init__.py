@@ -14,12 +14,10 @@ It reads no file and draws nothing. Each threshold stands by its name, with the 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from preimage.examination.findings import Finding, Kind, Severity
 from preimage.examination.goals import coverage, duplicates, spacing, untold
 from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrecorded, unrest
-from preimage.examination.otherwise import another_zero, recorded_otherwise
+from preimage.examination.otherwise import another_zero, backwards, recorded_otherwise
 from preimage.examination.pictures import blank, lost, moved, scene, stuck
 from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths, unreadable
 from preimage.examination.seen import RATE_HZ, Seen, look_through
@@ -104,4 +102,13 @@ def _findings(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> list[Finding
     of_arm = [*clock(seen), *frozen(seen), *out_of_range(seen), *jumps(seen), *waits(seen), *unrest(seen)]
     of_camera = [*blank(seen), *stuck(seen), *lost(seen), *stale(seen), *lag(seen), *moved(seen, moves)]
     of_goals = [*duplicates(seen, apart), *untold(seen, moves), *starts(seen), *coverage(seen, apart)]
-    return [*unrecorded(seen), *recorded_otherwise(seen), *another_zero(seen), *of_arm, *of_camera, *of_goals, *scene(seen)]
+    return [
+        *unrecorded(seen),
+        *recorded_otherwise(seen),
+        *another_zero(seen),
+        *backwards(seen),
+        *of_arm,
+        *of_camera,
+        *of_goals,
+        *scene(seen),
+    ]

@@ -40,6 +40,7 @@ class Kind(enum.Enum):
     WAITS = "long rest at the start"
     UNREST = "no rest at the end"
     STARTS = "starts differ"
+    BACKWARDS = "episodes played backwards"
     ZERO = "another zero"
     UNRECORDED = "joints not recorded"
     BLANK = "blank frames"

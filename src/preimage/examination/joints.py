@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from preimage.data.joint_range import FULL_TURN_RAD
 from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, leaving_out, of_joints
@@ -28,8 +28,13 @@ STARTS = 0.05
 
 def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
     places, joints = [], set()
+    empty = _empty(seen)
+    if empty.any():
+        names = _named(seen, empty)
+        what = of_joints(names, "holds no number anywhere; training leaves it out", "hold no number anywhere; training leaves them out")
+        yield Finding(Kind.NOT_FINITE, Severity.NOTE, what, joints=names)
     for one in seen:
-        steps, which = np.nonzero(~np.isfinite(one.recorded_joints))
+        steps, which = np.nonzero(~np.isfinite(one.recorded_joints) & ~empty)
         places += [(one.index, int(step)) for step in np.unique(steps)]
         joints |= {one.joint_names[joint] for joint in which}
     if places:
@@ -59,7 +64,7 @@ def unrecorded(seen: Sequence[Recorded]) -> Iterator[Finding]:
 
 def frozen(seen: Sequence[Seen]) -> Iterator[Finding]:
     still = ~np.isfinite(divisors(seen))
-    names = _named(seen, still)
+    names = _named(seen, still & ~_empty(seen))
     if still.all():
         yield Finding(Kind.FROZEN, Severity.FAULT, "no joint ever moves", "look whether the joints were recorded", joints=names)
     elif names:
@@ -125,6 +130,12 @@ def starts(seen: Sequence[Seen]) -> Iterator[Finding]:
         what = f"start poses scatter by up to {100 * scatter.max():.0f} % of a joint's span ({_some(names)})"
         help_ = "say where a plan starts (--start): without it, it starts at the mean"
         yield Finding(Kind.STARTS, Severity.NOTE, what, help_, joints=names)
+
+
+def _empty(seen: Sequence[Seen]) -> Bool[np.ndarray, " J"]:
+    """The joints of which nothing was recorded, where there are others."""
+    empty = np.all([np.isnan(one.recorded_joints).all(0) for one in seen], axis=0)
+    return empty & ~empty.all()
 
 
 def _without_spikes(joints: Float[np.ndarray, "T J"]) -> Float[np.ndarray, "T J"]:

@@ -88,6 +88,24 @@ def another_order(seen: Sequence[Recorded]) -> Iterator[Finding]:
         yield _finding(said + f"({', '.join(moved)})", f"put the columns in one order, or {leaving_out(episodes)}", episodes)
 
 
+def backwards(seen: Sequence[Recorded]) -> Iterator[Finding]:
+    """Some episodes end where all others start, and start elsewhere: a recording was turned round.
+
+    No fault, for they may show the way back.
+    """
+    span = wide_spans(seen)
+    starts, ends = (np.array([one.joints[place] for one in seen]) for place in (0, -1))
+    alike = np.all(np.abs(starts[:, None] - starts[None]) < SAME_START * span, axis=-1)
+    usual = int(alike.sum(1).argmax())
+    ends_there = np.all(np.abs(ends - starts[usual]) < SAME_START * span, axis=-1)
+    odd = ends_there & (np.abs(starts - starts[usual]) > OTHER_START * span).any(1)
+    if odd.any() and alike[usual].sum() >= LEAST_EPISODES and not (ends_there & alike[usual]).any():
+        episodes = [seen[place].index for place in np.flatnonzero(odd).tolist()]
+        what = f"{in_episodes(episodes, 'end')} where the others start, and start elsewhere, as if played backwards"
+        help_ = f"turn their pictures and rows round, or {leaving_out(episodes)}"
+        yield Finding(Kind.BACKWARDS, Severity.WARNING, what, help_, tuple(episodes))
+
+
 def another_zero(seen: Sequence[Recorded]) -> Iterator[Finding]:
     """Some episodes start with one joint at another number, and the picture is the same: the arm was calibrated anew in between.
 

@@ -42,7 +42,7 @@ def unwrap(seen: Sequence[Seen], *, chosen: bool) -> tuple[list[Seen], list[Find
         kind = Kind.SIGN if isinstance(each, Quaternion) else Kind.LEAPS
         what = f"{is_made_continuous(each, len(seen))}, in training too"
         findings.append(Finding(kind, Severity.NOTE, what, episodes=each.episodes, joints=each.columns))
-    learned = {name for name, moves in zip(names, moving(joints), strict=True) if chosen or (moves and not is_clock(name))}
+    learned = {name for name, moves in zip(names, moving(joints, names), strict=True) if chosen or (moves and not is_clock(name))}
     for wrap in (wrap for wrap in wraps if wrap.joint in learned):
         if wrap.impossible:
             what, help_ = cannot_unwrap(wrap, [name for name in names if name != wrap.joint])
