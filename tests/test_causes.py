@@ -219,3 +219,25 @@ def test_what_is_no_position_is_not_offered_as_a_joint(tmp_path):
     episodes = [(frames, np.column_stack([joints, 0.3 * joints[:, 0], np.full(len(joints), 0.1)])) for frames, joints in EIGHT]
     folder = write_v2(tmp_path / "data", episodes, names=[*NAMES, "effort_0", "effort_1"])
     refused_alike(folder, "leave it out by --view.joints shoulder elbow, or name")
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"),
+    [
+        ("bag 1/bag_0.mcap", ".mcap"),
+        ("1.0.0/droid-train.tfrecord-00000-of-00031", ".tfrecord"),
+        ("train/data-00000-of-00001.arrow", ".arrow"),
+    ],
+)
+def test_recordings_of_another_kind_are_called_so(tmp_path, path, kind):
+    (tmp_path / "data" / path).parent.mkdir(parents=True)
+    (tmp_path / "data" / path).write_bytes(b"x")
+    refused_alike(tmp_path / "data", f"convert its {kind} files to a LeRobot data set")
+
+
+def test_rows_that_lack_a_number_in_every_episode_are_to_be_taken_out(tmp_path):
+    folder = write_plain(
+        tmp_path / "data", lambda joints: "shoulder,elbow\n" + "".join(f"{'' if a == joints[0, 0] else a},{b}\n" for a, b in joints)
+    )
+    (finding,) = [each for each in checked(folder).findings if each.kind is Kind.NOT_FINITE]
+    assert finding.help == "take these rows and their pictures out"

@@ -14,6 +14,7 @@ True
 
 import hashlib
 import itertools
+import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -46,7 +47,7 @@ from preimage.records import Body, Demonstration, Description, Episode, listed, 
 __all__ = ["Opened", "describe", "episode_numbers", "fingerprint", "load", "open_recordings", "read_episodes"]
 
 BY_DEFAULT = View()
-OTHER_FORMATS = {".npy", ".npz", ".h5", ".hdf5", ".zarr", ".bag", ".mcap", ".db3", ".tfrecord", ".pkl", ".zip", ".tar", ".mp4"}
+OTHER_FORMATS = {".npy", ".npz", ".h5", ".hdf5", ".zarr", ".bag", ".mcap", ".db3", ".tfrecord", ".arrow", ".pkl", ".zip", ".tar", ".mp4"}
 """Of files in which others keep recordings."""
 MOST_LOOKED_AT = 1000
 """Entries of a folder that are looked at for a data set: it may be anybody's home."""
@@ -257,7 +258,7 @@ def _what_to_name(folder: Path) -> str:
             return f"name {other}, which is one"
     if tables := sorted(path for path in itertools.islice(folder.glob("*/*"), MOST_LOOKED_AT) if path.suffix.lower() == ".csv"):
         return f"a table of joints is called {plain_folder.TABLE}, and {tables[0]} is not"
-    if others := sorted({path.suffix for path in itertools.islice(folder.iterdir(), MOST_LOOKED_AT)} & OTHER_FORMATS):
+    if others := sorted({f".{part}" for path in around[1:] for part in re.split(r"[.-]", path.name)[1:]} & OTHER_FORMATS):
         return f"convert its {' and '.join(others)} files to a LeRobot data set, or to a folder an episode with pictures and joints.csv"
     return "name the folder that holds meta/ and data/, or the folders of the episodes"
 

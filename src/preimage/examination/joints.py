@@ -41,7 +41,8 @@ def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
         names = tuple(sorted(joints))
         what = f"{of_joints(names, 'holds', 'hold')} no number at {at_places(places)}"
         episodes = episodes_of(places)
-        yield Finding(Kind.NOT_FINITE, Severity.FAULT, what, leaving_out(episodes), episodes, tuple(places), names)
+        help_ = leaving_out(episodes) if len(episodes) < len(seen) else "take these rows and their pictures out"
+        yield Finding(Kind.NOT_FINITE, Severity.FAULT, what, help_, episodes, tuple(places), names)
 
 
 def unrecorded(seen: Sequence[Recorded]) -> Iterator[Finding]:
