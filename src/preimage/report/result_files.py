@@ -119,7 +119,7 @@ def read_result(file: Path) -> dict[str, Any]:
         if not isinstance(content, dict):
             raise ValueError(f"it holds {kind_of(content)}, not names with values")
         if place := non_finite_in(content):
-            raise ValueError(f"{place}, which is not finite")
+            raise ValueError(f"{place}, which nothing can be computed with")
         found = {"preset": "full"} | without_nothing(content) | {"file": file.name}
         baselines = found.get("baselines")
         if isinstance(baselines, dict) and "recalled_joints" in baselines:  # as results before there were presets call it

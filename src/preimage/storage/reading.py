@@ -6,7 +6,7 @@
 ...     _ = path.write_text('{"elbow": {"upper": 1e999}}')
 ...     read_json(path)
 Traceback (most recent call last):
-ValueError: elbow: upper is inf, which is not finite
+ValueError: elbow: upper is inf, which nothing can be computed with
 """
 
 import json
@@ -46,7 +46,7 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"it holds {kind_of(content)}, not names with values")
     if place := non_finite_in(content):
-        raise ValueError(f"{place}, which is not finite")
+        raise ValueError(f"{place}, which nothing can be computed with")
     return content
 
 
