@@ -12,10 +12,10 @@ from preimage.examination import Kind
 NAMES = ("x", "rx", "ry", "rz")
 
 
-def attitudes(number: int, num_steps: int = 30, *, most: float = 3.6) -> np.ndarray:
+def attitudes(number: int, num_steps: int = 30, *, most: float = 3.6, about=(0.9, 0.4, 0.1)) -> np.ndarray:
     """A tool that points down, and turns on past half a turn about an axis that tilts by and by."""
     rng = np.random.default_rng(number)
-    axis = np.array([0.9, 0.4, 0.1]) + rng.normal(0, 0.05, 3) + np.linspace(0, 0.2, num_steps)[:, None] * np.array([0, 1, -1])
+    axis = np.array(about) + rng.normal(0, 0.05, 3) + np.linspace(0, 0.2, num_steps)[:, None] * np.array([0, 1, -1])
     angle = np.linspace(2.7 + 0.02 * number, most, num_steps)[:, None]
     return np.concatenate([angle / 4, angle * axis / np.linalg.norm(axis, axis=1, keepdims=True)], 1)
 
@@ -36,6 +36,22 @@ def test_the_way_that_the_hand_went_is_read(names, scale):
     assert (found.columns, found.episodes) == (names[1:], (1, 3, 5))
     for reading, way in zip(readings, ways, strict=True):
         np.testing.assert_allclose(followed(reading, names, [found]), way, atol=1e-9 * scale)
+
+
+@pytest.mark.parametrize("names", [("x", "y", "z", "rx", "ry", "rz", "gripper"), "abcdefg"], ids=["called so", "not called so"])
+@pytest.mark.parametrize("about", [(0.9, 0.4, 0.1), (0.0, 1.0, 0.05), (0.05, 0.0, 1.0)], ids=str)
+def test_small_numbers_beside_it_are_no_part_of_it(names, about):
+    """A place in metres before it and a gripper after it would fit as well, as far as they themselves go."""
+    ways = [attitudes(number, about=about) for number in range(4)]
+    beside = [np.outer(np.sin(way[:, 0]), (0.3, -0.2, 0.1)) for way in ways]
+    readings = [
+        np.concatenate([place, as_a_robot_says(way)[:, 1:], 0.04 * place[:, :1]], 1) for place, way in zip(beside, ways, strict=True)
+    ]
+    (found,) = find_rotation_vectors(readings, names)
+    assert found.columns == tuple(names[3:6])
+    read = [followed(reading, names, [found]) for reading in readings]
+    assert max(np.abs(np.diff(each, axis=0)).max() for each in read) < 0.2
+    assert np.ptp([each[0, 3:6] for each in read], axis=0).max() < 2, "all begin on one side"
 
 
 def test_episodes_that_begin_on_either_side_are_read_alike():

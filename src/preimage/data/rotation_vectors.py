@@ -60,16 +60,12 @@ def find_rotation_vectors(
     """
     whole = by_number(recordings, episodes)
     found: list[RotationVector] = []
-    begin = 0
-    while whole and begin + NUM_PARTS <= len(names):
+    for begin, turn in _places(list(whole.values()), names) if whole else ():
         columns = slice(begin, begin + NUM_PARTS)
         readings = {number: joints[:, columns] for number, joints in whole.items()}
-        if turn := next((turn for turn in TURNS if _leaps(list(readings.values()), turn, names[columns])), None):
-            pole = _pole(list(readings.values()), turn)
-            changed = [number for number, each in readings.items() if not np.array_equal(_follow(each, turn, pole), each)]
-            found.append(RotationVector(tuple(names[columns]), turn, tuple(pole.tolist()), tuple(changed)))
-            begin += NUM_PARTS - 1
-        begin += 1
+        pole = _pole(list(readings.values()), turn)
+        changed = [number for number, each in readings.items() if not np.array_equal(_follow(each, turn, pole), each)]
+        found.append(RotationVector(tuple(names[columns]), turn, tuple(pole.tolist()), tuple(changed)))
     return found
 
 
@@ -89,13 +85,45 @@ def leaps_over(rotation: RotationVector, num_episodes: int) -> str:
     return f"{', '.join(rotation.columns)} are a rotation vector, which leaps near half a turn without turning, in {count}: it is followed"
 
 
+def _places(recordings: Sequence[Float[np.ndarray, "_T J"]], names: Sequence[str]) -> list[tuple[int, float]]:
+    """The first column of each rotation vector, and a full turn; of two that overlap that which leaves less of the leaps."""
+    candidates = []
+    for begin in range(len(names) - NUM_PARTS + 1):
+        readings = [joints[:, begin : begin + NUM_PARTS] for joints in recordings]
+        turn = next((turn for turn in TURNS if _leaps(readings, turn, names[begin : begin + NUM_PARTS])), None)
+        if turn is not None:
+            candidates.append((_left_around(recordings, begin, turn), begin, turn))
+    chosen: list[tuple[int, float]] = []
+    for _, begin, turn in sorted(candidates):
+        if all(abs(begin - other) >= NUM_PARTS for other, _ in chosen):
+            chosen.append((begin, turn))
+    return sorted(chosen)
+
+
+def _left_around(recordings: Sequence[Float[np.ndarray, "_T J"]], begin: int, turn: float) -> float:
+    """What is left of the leaps of a rotation vector, in its columns and in those that overlapping ones would have, on average."""
+    around = slice(max(0, begin - NUM_PARTS + 1), begin + 2 * NUM_PARTS - 1)
+    columns = slice(begin - around.start, begin - around.start + NUM_PARTS)
+    left = []
+    for joints in recordings:
+        near = joints[:, around]
+        for step in np.flatnonzero(np.linalg.norm(np.diff(near[:, columns], axis=0), axis=1) > turn / 2):
+            before, after = near[step], near[step + 1].copy()
+            after[columns] = _nearest(after[columns], before[columns], turn)
+            left.append(float(np.linalg.norm(after - before)))
+    return float(np.mean(left)) if left else 0.0
+
+
 def _leaps(readings: Sequence[Float[np.ndarray, "_T 3"]], turn: float, names: Sequence[str]) -> bool:
     """Whether these are rotation vectors and leap: each leap leads to where a small turn leads too."""
     joined = np.concatenate(readings)
     if not np.isfinite(joined).all() or not turn / 4 < np.linalg.norm(joined, axis=1).max() <= BEYOND_HALF * turn / 2:
         return False
     words = [words_of(name) for name in names]
-    named = all(each and (each[-1] in PARTS or "".join(each).startswith(WORDS)) for each in words)
+    called_so = [bool(each) and (each[-1] in PARTS or "".join(each).startswith(WORDS)) for each in words]
+    if any(called_so) and not all(called_so):
+        return False
+    named = all(called_so)
     leaps = [*_far_apart(readings, turn)]
     left = np.array([np.linalg.norm(_nearest(after, before, turn) - before) for before, after in leaps])
     if not (left <= LEAST_RESIDUAL * turn).all():
