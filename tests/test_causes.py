@@ -1,5 +1,7 @@
 """The cause and not a remedy is told, and what a spreadsheet or a copy does to a data set is read or named."""
 
+from pathlib import Path
+
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -19,8 +21,10 @@ from planar_arm import (
     write_v2,
     write_v3,
 )
-from preimage.data.dataset import load
-from recordings import write_rows, write_video
+from preimage.data.dataset import load, open_recordings
+from preimage.examination import Kind
+from preimage.storage.recordings import save
+from recordings import WRITERS, write_rows, write_video
 
 
 @pytest.mark.parametrize("version", ["v2", "v3", "plain"])
@@ -166,3 +170,74 @@ def test_frames_that_are_a_multiple_of_the_rows_say_so(tmp_path, times, words):
         write_video(folder / f"videos/chunk-000/{TOP}/episode_{number:06d}.mp4", shown)
     refused_alike(folder, words)
     assert words in " ".join(finding.what for finding in checked(folder).findings)
+
+
+@pytest.mark.parametrize("name", ["a:b", "file:x", "%03d", "a b?c#d", "new\nline", "-o"])
+@pytest.mark.parametrize("version", WRITERS)
+def test_the_name_of_a_folder_is_no_address(tmp_path, monkeypatch, version, name):
+    """Libraries take what has a colon in it for an address; it is relative here, for an absolute path begins otherwise."""
+    monkeypatch.chdir(tmp_path)
+    WRITERS[version](tmp_path / name)
+    opened = load(name)
+    save(opened, Path(f"{name} again"), task="pick")
+    assert [len(one) for one in load(f"{name} again")] == [len(one) for one in opened]
+
+
+def test_a_table_under_another_name_is_named(tmp_path):
+    folder = write_plain(tmp_path / "data")
+    for path in folder.glob("*/joints.csv"):
+        path.rename(path.with_name("Joints.csv"))
+    refused_alike(folder, "a table of joints is called joints.csv, and .*take 0/Joints.csv is not")
+
+
+def test_quotes_and_blanks_about_numbers_are_no_part_of_them(tmp_path):
+    assert_read_right(
+        write_plain(tmp_path / "data", lambda joints: '"shoulder", "elbow"\n' + "".join(f'"{a}", "{b}"\n' for a, b in joints))
+    )
+
+
+def test_a_joint_of_which_nothing_was_recorded_is_left_out(tmp_path):
+    """And told; a single number that is missing is a fault still."""
+    episodes = [(frames, np.column_stack([joints, np.full(len(joints), np.nan)])) for frames, joints in EIGHT]
+    folder = write_v2(tmp_path / "data", episodes, names=[*NAMES, "spare"])
+    assert_read_right(folder)
+    assert open_recordings(folder).summary[-1] == "2 of 3 joints: shoulder, elbow; left out, for nothing was recorded of it: spare"
+    assert "spare holds no number anywhere; training leaves it out" in [each.what for each in checked(folder).findings]
+    episodes[3][1][5, 2] = 0.0
+    refused_alike(write_v2(tmp_path / "other", episodes, names=[*NAMES, "spare"]), "joints holds nan")
+
+
+def test_leaving_out_all_episodes_is_no_help(tmp_path):
+    folder = write_plain(tmp_path / "data")
+    for path in [*folder.glob("*/*.png")]:
+        path.with_name(f"right {path.name}").write_bytes(path.read_bytes())
+    (finding,) = [each for each in checked(folder).findings if each.kind is Kind.LENGTHS]
+    assert finding.help == "record these again: which frame belongs to which joints cannot be known"
+
+
+def test_what_is_no_position_is_not_offered_as_a_joint(tmp_path):
+    episodes = [(frames, np.column_stack([joints, 0.3 * joints[:, 0], np.full(len(joints), 0.1)])) for frames, joints in EIGHT]
+    folder = write_v2(tmp_path / "data", episodes, names=[*NAMES, "effort_0", "effort_1"])
+    refused_alike(folder, "leave it out by --view.joints shoulder elbow, or name")
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"),
+    [
+        ("bag 1/bag_0.mcap", ".mcap"),
+        ("1.0.0/droid-train.tfrecord-00000-of-00031", ".tfrecord"),
+        ("train/data-00000-of-00001.arrow", ".arrow"),
+    ],
+)
+def test_recordings_of_another_kind_are_called_so(tmp_path, path, kind):
+    (tmp_path / "data" / path).parent.mkdir(parents=True)
+    (tmp_path / "data" / path).write_bytes(b"x")
+    refused_alike(tmp_path / "data", f"convert its {kind} files to a LeRobot data set")
+
+
+def test_rows_that_lack_a_number_in_every_episode_are_to_be_taken_out(tmp_path):
+    folder = write_plain(
+        tmp_path / "data", lambda joints: "shoulder,elbow\n" + "".join(f"{'' if a == joints[0, 0] else a},{b}\n" for a, b in joints)
+    )
+    (finding,) = [each for each in checked(folder).findings if each.kind is Kind.NOT_FINITE]
+    assert finding.help == "take these rows and their pictures out"

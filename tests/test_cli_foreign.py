@@ -40,15 +40,19 @@ def test_a_run_keeps_how_it_saw_its_recordings(foreign):
         "seams": [],
         "poles": [],
         "quaternions": [],
+        "rotations": [],
+        "rotation_turns": [],
+        "rotation_poles": [],
     }
 
 
 def test_training_tells_in_a_few_lines_what_it_sees(foreign, capsys, tmp_path):
     cli.main(["train", str(foreign[0]), "--out", str(tmp_path / "run"), "--size", "tiny", "--updates", "1"])
-    *_, camera, joints, precision, trained = capsys.readouterr().out.splitlines()
+    *_, camera, joints, warnings, precision, trained = capsys.readouterr().out.splitlines()
     assert camera.endswith(": 160x96, seen at 64x32, in colour")
+    assert warnings.endswith(f"preimage check {foreign[0]} says where, and what would help")
     assert precision.startswith("precision: ")
-    assert joints == "2 of 3 joints: pan, lift; left out, for they do not move: frozen"
+    assert joints == "2 of 3 joints: pan, lift; left out, for it does not move: frozen"
     assert trained.startswith("trained on 3 demonstrations;")
 
 

@@ -5,6 +5,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from planar_arm import EIGHT, INFO, NAMES, as_table, assert_read_right, checked, kinds, refused_alike, write_plain, write_v2
+from preimage.data.clocks import find_clock, unit_that_agrees
 from preimage.data.dataset import load, open_recordings, read_episodes
 from preimage.data.view import View
 from preimage.examination import Kind
@@ -158,3 +159,10 @@ def test_velocities_and_efforts_beside_positions_are_asked_about(tmp_path):
     assert open_recordings(folder, view=View(joints=tuple(names))).demonstrations[0].joint_names == tuple(names)
     alone = write_v2(tmp_path / "alone", names=["x.vel", "y.vel"])  # a robot that is commanded velocities has nothing else
     assert_read_right(alone, ("x.vel", "y.vel"))
+
+
+@pytest.mark.parametrize("values", [[0.0, np.inf, np.inf, 3.0], [np.nan, 0.1, 0.2, 0.3]])
+def test_a_clock_that_is_not_finite_is_none(values):
+    times = np.array(values)
+    assert unit_that_agrees(times, 10.0) == "s"
+    assert find_clock({"time_s": times}, rate_hz=10.0) is None

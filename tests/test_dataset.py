@@ -115,7 +115,7 @@ def test_every_kind_of_folder_holds_the_same(tmp_path):
 def test_frozen_joints_are_dropped_and_said_so(foreign):
     opened = open_recordings(foreign)
     assert opened.view.joints == opened.demonstrations[0].joint_names == ("pan", "lift")
-    assert opened.summary[-1] == "2 of 3 joints: pan, lift; left out, for they do not move: frozen"
+    assert opened.summary[-1] == "2 of 3 joints: pan, lift; left out, for it does not move: frozen"
 
 
 def test_frozen_joints_of_our_own_are_kept(tmp_path):
@@ -164,7 +164,7 @@ def test_few_lines_tell_what_was_chosen(tmp_path):
     assert opened.summary == (
         "LeRobotDataset v2.1: 2 episodes, 9 steps at 10 Hz",
         f"camera {CAMERA}: 160x96, of which 96x96 from row 0 and column 32, seen at 96x96, in colour",
-        "2 of 3 joints: pan, lift; left out, for they do not move: frozen",
+        "2 of 3 joints: pan, lift; left out, for it does not move: frozen",
     )
 
 

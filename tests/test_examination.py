@@ -193,6 +193,13 @@ def test_every_fault_says_which_episode_and_what_would_help(name):
             assert everywhere or finding.episodes == (ILL,)
 
 
+@pytest.mark.parametrize("name", PLANTED)
+def test_verbs_agree_with_the_number_of_joints(name):
+    for finding in ill(name).findings:
+        if len(finding.joints) == 1 and (verb := re.match(rf"{finding.joints[0]} (?:hardly )?(\w+)", finding.what)):
+            assert verb[1].endswith("s"), finding.what
+
+
 def test_two_faults_are_both_found():
     planted = PLANTED["a spike"][2](PLANTED["a camera that is pushed"][2](healthy()))
     assert found(examine(planted), FAULT, WARNING) == {Kind.JUMP, Kind.MOVED}

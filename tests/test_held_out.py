@@ -1,6 +1,7 @@
 """Held-out episodes: which they are, how far plans are from them, and what is said about it."""
 
 import json
+import shutil
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from preimage.evaluation.held_out import (
 from preimage.presets import Planner, PlanOptions, remember
 from preimage.records import Percept, Plan, Shown, Stopped
 from preimage.report.tables import evaluations_among, held_out_table
+from recordings import edit_json
 from shared import make_demonstration
 
 QUICK = ["--iterations", "1", "--horizon", "4"]
@@ -199,6 +201,22 @@ def test_a_run_tells_what_it_was_not_trained_on(held_out_run, five):
     recorded = preimage.load(five)
     for one, episode in zip(preimage.read_shown(held_out_run), (0, 2, 4), strict=True):
         np.testing.assert_array_equal(one.last_frame, recorded[episode].frames[-1])
+
+
+@pytest.mark.parametrize(("held_out", "said"), [(None, "nothing"), ([[1]], "a list"), ("1", "'1'")])
+def test_a_run_that_was_changed_goes_on_with_no_other_episodes(refused, held_out_run, five, tmp_path, held_out, said):
+    run = shutil.copytree(held_out_run, tmp_path / "run")
+    edit_json(run / "config.json", lambda config: config["data"].update(held_out=held_out))
+    sentence = f"{run}/config.json holds out {said}, not numbers of episodes: restore it or train again"
+    assert refused("train", five, "--out", run, "--resume") == (2, sentence)
+
+
+@pytest.mark.parametrize("about", [None, [], "x", {"name": []}])
+def test_a_run_that_does_not_say_what_it_learned_from_is_compared(held_out_run, five, tmp_path, about):
+    run = shutil.copytree(held_out_run, tmp_path / "run")
+    edit_json(run / "config.json", lambda config: config.update(data=about))
+    cli.main(["evaluate", str(run), "--data", str(five), "--out", str(tmp_path / "result.json"), *QUICK])
+    assert json.loads((tmp_path / "result.json").read_text())["episodes"] == [1, 3]
 
 
 def test_evaluate_plans_for_the_held_out_episodes(capsys, held_out_run, five, tmp_path):

@@ -1,15 +1,27 @@
 """Episodes that were recorded otherwise than the rest are named, by `check` and `train` alike; sound recordings never are."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from planar_arm import Recorded, checked, recorded, write_v2
-from preimage.data.dataset import open_recordings
-from preimage.examination import Kind, validate
-from preimage.examination.otherwise import Begun, recorded_otherwise
+from preimage.cli.training import open_to_learn_from
+from preimage.data.view import View
+from preimage.examination import Kind
+from preimage.examination.otherwise import recorded_otherwise
 from preimage.robot import TASKS, Arm, record, with_frames
+from preimage.storage.recordings import save
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    index: int
+    joint_names: tuple[str, ...]
+    joints: np.ndarray
+    first: np.ndarray
+
 
 ODD = (1, 4, 6)
 Change = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -41,12 +53,10 @@ def test_episodes_recorded_otherwise_are_named(tmp_path, change, odd):
     data = write_v2(tmp_path / "data", episodes)
     (finding,) = [each for each in checked(data).findings if each.kind is Kind.OTHERWISE]
     assert finding.episodes == odd
-    opened = open_recordings(data)
     with pytest.raises(ValueError, match=f"{sentence}.*--without-episodes {' '.join(map(str, odd))}") as told:
-        validate(opened.demonstrations, opened.episodes)
+        open_to_learn_from(data, View(), rate_hz=2.5)
     assert str(told.value) == f"{finding.what}: {finding.help}"
-    rest = open_recordings(data, without=odd)
-    validate(rest.demonstrations, rest.episodes)
+    open_to_learn_from(data, View(), rate_hz=2.5, without=odd)
 
 
 @pytest.mark.parametrize(
@@ -63,6 +73,20 @@ def test_an_arm_that_was_calibrated_anew_in_between_is_told(tmp_path, change, jo
     episodes = [(frames, change(joints) if number in ODD else joints) for number, (frames, joints) in enumerate(textured())]
     found = [each for each in checked(write_v2(tmp_path / "data", episodes)).findings if each.kind is Kind.ZERO]
     assert [(each.joints, each.episodes) for each in found] == ([((joint,), ODD)] if joint else [])
+    assert len(checked(tmp_path / "data").warnings) == len(found)
+    _, told = open_to_learn_from(tmp_path / "data", View(), rate_hz=2.5)
+    says = f"preimage check {tmp_path / 'data'} says where, and what would help"
+    assert told == ([f"1 warning (another zero): {says}"] if found else []), "training tells how many warnings there are"
+
+
+@pytest.mark.parametrize("odd", [(1, 3, 5, 7), (2,)], ids=str)
+def test_episodes_that_were_played_backwards_are_told(tmp_path, odd):
+    episodes = [(frames[::-1], joints[::-1]) if number in odd else (frames, joints) for number, (frames, joints) in enumerate(recorded())]
+    found = [each for each in checked(write_v2(tmp_path / "data", episodes)).warnings if each.kind is Kind.BACKWARDS]
+    assert [each.episodes for each in found] == [odd]
+    there_and_back = [(np.concatenate([frames, frames[::-1]]), np.concatenate([joints, joints[::-1]])) for frames, joints in recorded()]
+    for name, sound in (("sound", recorded()), ("there and back", there_and_back)):
+        assert Kind.BACKWARDS not in {each.kind for each in checked(write_v2(tmp_path / name, sound)).findings}
 
 
 @pytest.mark.parametrize("steps", [slice(0, 2), slice(-1, None), slice(2, 4)], ids=str)
@@ -75,16 +99,15 @@ def test_rows_of_zeros_are_no_joints(tmp_path, steps, odd):
     (finding,) = [each for each in checked(data).findings if each.kind is Kind.UNRECORDED]
     assert finding.episodes == tuple(odd)
     assert finding.places == tuple((number, step) for number in odd for step in range(20)[steps])
-    opened = open_recordings(data)
     with pytest.raises(ValueError, match="all joints are zero at episode") as told:
-        validate(opened.demonstrations, opened.episodes)
+        open_to_learn_from(data, View(), rate_hz=2.5)
     assert str(told.value) == f"{finding.what}: {finding.help}"
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_sound_recordings_are_left_alone(task):
-    demonstrations = record(Arm(), with_frames(TASKS[task], 32), count=8, seed=3)
-    validate(demonstrations, range(8))
+def test_sound_recordings_are_left_alone(task, tmp_path):
+    save(record(Arm(), with_frames(TASKS[task], 32), count=8, seed=3), tmp_path / "data", task=task)
+    open_to_learn_from(tmp_path / "data", View(), rate_hz=2.5)
 
 
 def test_a_lamp_a_thing_that_is_put_elsewhere_and_another_pose_are_no_other_recording():

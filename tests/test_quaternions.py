@@ -52,6 +52,17 @@ def test_what_is_no_quaternion_stays_as_it_is():
     assert not find_quaternions(cosines, "abcd")
 
 
+def test_a_turn_about_one_axis_is_a_quaternion_where_its_signs_flip():
+    """And a cosine and a sine that turn on are none, nor is a signal that snaps from -1 to 1 beside zeros."""
+    angle, zero = np.linspace(0.2, 0.9, 30), np.zeros(30)
+    way = np.stack([zero, np.sin(angle), zero, zero, np.cos(angle)], 1)
+    (found,) = find_quaternions([way, flipped(way, slice(9, None))], "abcde")
+    np.testing.assert_array_equal(on_one_side(flipped(way, slice(9, None)), "abcde", [found]), way)
+    snaps = np.stack([np.where(angle > 0.5, 1.0, -1.0), zero, zero, zero], 1)
+    assert not find_quaternions([way[:, 1:]] * 2, "abcd")
+    assert not find_quaternions([snaps] * 2, "abcd")
+
+
 @pytest.fixture
 def data(tmp_path):
     """Recordings of an arm that say, beside its angles, how the hand is held; the tracker flips in two of them."""

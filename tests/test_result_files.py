@@ -37,6 +37,10 @@ def once(draw, drawn_from):
     return chart
 
 
+ROW = {"success": 1, "goals": 2, "interval": [0.1, 0.9], "deviation_cm": 1.0, "seconds": 1.0, "iterations": 3}
+ABLATION = {"kind": "ablation", "task": "reach", "num_demonstrations": 100, "loop": "closed", "rows": {"full": ROW}}
+
+
 def test_all_results_of_the_repository_are_read():
     assert len(read_results(RESULTS)) == len(list(RESULTS.glob("*.json")))
 
@@ -59,7 +63,7 @@ def test_a_result_that_was_changed_anywhere_is_reported_or_named(tmp_path, kind)
     assert refused
 
 
-@pytest.mark.parametrize("content", [b"", b"[1]", b"{", b"\xff", b"[" * 100_000, b'{"task": NaN}'])
+@pytest.mark.parametrize("content", [b"", b"[1]", b"{", b"\xff", b"[" * 100_000, b'{"task": NaN}', rb'{"task": "\ud83d"}'])
 def test_what_is_no_json_object_is_named(tmp_path, content):
     (tmp_path / "other.json").write_bytes(content)
     with pytest.raises(ValueError, match=r"other.json is no result \(.*\): remove it, or write it anew"):
@@ -76,6 +80,8 @@ def test_what_is_no_json_object_is_named(tmp_path, content):
             {"kind": "ablation", "task": "reach", "num_demonstrations": 1, "loop": "x", "rows": {}, "paper": {"a": 1}},
             "paper has no success_rate",
         ),
+        (ABLATION | {"rows": {"full": ROW | {"gained": 1, "p": 0.5}}}, "full has some of gained, lost, p, and not all"),
+        (ABLATION | {"training_seeds": 3}, "training_seeds is 3"),
         ({"kind": {}, "cells": 3}, "cells is 3"),
         ({"kind": "trust", "model": "reach", "seed": "5"}, "seed is '5'"),
     ],

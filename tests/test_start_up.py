@@ -2,6 +2,7 @@
 
 import ast
 import pickle
+import shlex
 import subprocess
 import sys
 from importlib import import_module
@@ -87,6 +88,33 @@ def test_a_word_that_is_near_no_verb_is_answered_with_all(refused):
     code, sentence = refused("dance")
     assert code == 2
     assert sentence.endswith(f"there are {', '.join(cli.VERBS)}")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("plan run --gaol x --out y", "there is no option --gaol: did you mean --goal?"),
+        ("record reach --count 1 --oot=x", "there is no option --oot: did you mean --out?"),
+        ("train data --out x --view.croop 0 0 1 1", "there is no option --view.croop: did you mean --view.crop?"),
+        ("train data --out x --As full", "there is no option --As: did you mean --as?"),
+        ("check data --zzzzz", "there is no option --zzzzz: preimage check --help says which there are"),
+        ("train data --out x --updates three", "--updates is three: give a whole number"),
+        ("plan run --goal x --out y --rate-hz 10Hz", "--rate-hz is 10Hz: give a number"),
+        ("train data --out x --view.size 1", "--view.size is 1: give 2 whole numbers"),
+        ("train data --out x --view.crop=1 2 3 x", "--view.crop is 1 2 3 x: give 4 whole numbers"),
+        ("check data --without-episodes 1-3 --out x", "--without-episodes is 1-3: give whole numbers, one after the other"),
+        ("plan run --goal x --out y --goal-joints 1 '' x", "--goal-joints is 1 '' x: give numbers, one after the other"),
+        ("train data --out x --size big", "--size is big: give tiny, small or paper"),
+        ("train data --out x --as fool", "--as is fool: give paper, regression or full"),
+        ("train data --out", "--out has no value: give one after it"),
+    ],
+)
+def test_the_option_that_was_meant_is_found(refused, words, sentence):
+    assert refused(*shlex.split(words)) == (2, sentence)
+
+
+def test_both_spellings_of_an_option_are_one(refused):
+    assert refused("train", "nowhere", "--out", "x", "--batch_size", "2") == (2, "nowhere is not a folder: name that of a data set")
 
 
 def test_the_module_is_the_command():

@@ -64,3 +64,13 @@ def test_json_nested_without_end_is_refused(tmp_path):
     folder = write_v2(tmp_path / "data")
     (folder / INFO).write_text("[" * 100_000)
     refused_alike(folder, "info.json is not JSON")
+
+
+@pytest.mark.parametrize("name", [INFO, LINES])
+def test_half_a_character_is_no_text(tmp_path, name):
+    folder = write_v2(tmp_path / "data")
+    path = folder / name
+    path.write_text(path.read_text().replace("{", r'{"note": "\ud83d", ', 1))
+    refused_alike(folder, "holds half a character")
+    path.write_text(path.read_text().replace(r"\ud83d", r"\ud83d\ude00"))
+    assert_read_right(folder)

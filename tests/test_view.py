@@ -108,3 +108,15 @@ def test_joints_move_where_an_episode_crosses_much_of_their_range():
     assert moving(recordings).tolist() == [True, True, True, False, False, False]
     assert moving([1e3 * one for one in recordings]).tolist() == moving(recordings).tolist()
     assert moving([np.ones((3, 2))]).tolist() == [True, True]
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.04], ids=["ones", "metres"])
+def test_a_gripper_moves_beside_degrees(unit):
+    """It is a thousandth of what the joints go; what trembles by as little, and what is called otherwise, does not move."""
+    rng, steps = np.random.default_rng(0), np.arange(40)
+    joints = [np.stack([150 * np.sin(steps / 12), unit * (steps > 20), unit * (steps > 20)], 1) for _ in range(4)]
+    trembling = [np.column_stack([each[:, 0], 0.01 * unit * rng.normal(size=(40, 2))]) for each in joints]
+    names = ("elbow", "left_gripper", "gripper")
+    assert moving(joints, names).tolist() == [True, True, True]
+    assert moving(joints, ("elbow", "pump", "lamp")).tolist() == [True, False, False]
+    assert moving(trembling, names).tolist() == [True, False, False]

@@ -68,9 +68,9 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def run(verb: str, arguments: list[str]) -> None:
-    import tyro
+    from preimage.cli.parsing import parsed
 
-    tyro.cli(by_preset(function_of(VERBS[verb]), arguments), prog=f"preimage {verb}", args=arguments)
+    parsed(by_preset(function_of(VERBS[verb]), arguments), arguments, prog=f"preimage {verb}")()
 
 
 def function_of(verb: Verb) -> Callable[..., None]:

@@ -3,6 +3,7 @@
 What the verb's signature does not need is loaded in its functions, so that a word that is off is answered at once.
 """
 
+import shlex
 import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from preimage.storage.run_files import HELD_OUT, LOG
 if TYPE_CHECKING:
     from preimage.compute.processes import ProcessGroup
     from preimage.data.dataset import Opened
+    from preimage.examination import Seen
     from preimage.method.learner import Progress
     from preimage.records import Demonstration
 
@@ -102,9 +104,12 @@ def train_(
     resumed = goes_on(out, resume=resume)
     if resumed:
         view, episodes, without_episodes = read_view(out), episodes_to_resume(out, data), ()
-    opened = open_to_learn_from(data, view, only=episodes, without=without_episodes)
-    lines, model_config, learned_from = list(opened.summary), network.network(size, as_), said_of(opened, data, hold_out)
-    if resumed:
+    model_config = network.network(size, as_)
+    opened, warnings = open_to_learn_from(data, view, rate_hz=model_config.rate_hz, only=episodes, without=without_episodes)
+    lines, learned_from = list(opened.summary), said_of(opened, data, hold_out)
+    if not resumed:
+        lines += warnings
+    else:
         learned_from = begun_with(out, data, learned_from["fingerprint"])
         model_config = read_settings(ModelConfig, out, "model")
         config, told = settings_to_go_on_with(out, config)
@@ -154,15 +159,26 @@ def follow_training(
         print(line)
 
 
-def open_to_learn_from(data: Path, view: View, **which: Any) -> "Opened":
-    """The recordings, read and looked through; ValueError where they cannot be learned from."""
-    from preimage.data.dataset import open_recordings
-    from preimage.examination import validate
+def open_to_learn_from(data: Path, view: View, *, rate_hz: float, **which: Any) -> "tuple[Opened, list[str]]":
+    """The recordings, and a line on what `preimage check` warns of, if it does; ValueError where they cannot be learned from.
 
+    Args:
+        rate_hz: steps a second of the model.
+        which: the episodes that are asked for.
+    """
+    from preimage.data.dataset import open_recordings, written_here
+    from preimage.examination import examination_of, look_through
+
+    seen: list[Seen] = []
     with following("reading episodes", shown=is_first_here()) as follow:
-        opened = open_recordings(data, view=view, progress=follow, **which)
-    validate(opened.demonstrations, opened.episodes)
-    return opened
+        look = lambda episode: seen.append(look_through(episode, rate_hz=rate_hz))  # noqa: E731
+        opened = open_recordings(data, view=view, progress=follow, look=look, **which)
+    examination = examination_of(seen, joints_chosen=view.joints is not None or written_here(data))
+    examination.validate()
+    found = examination.warnings
+    kinds = ", ".join(dict.fromkeys(finding.kind.value for finding in found))
+    says = f"preimage check {shlex.quote(str(data))} says where, and what would help"
+    return opened, [f"{number_of(len(found), 'warning')} ({kinds}): {says}"] if found else []
 
 
 def said_of(opened: "Opened", data: Path, hold_out: int) -> dict[str, Any]:
@@ -204,12 +220,16 @@ def episodes_to_resume(out: Path, data: Path) -> tuple[int, ...] | None:
 
 def begun_with(out: Path, data: Path, now: str) -> dict[str, Any]:
     """What the run in `out` learned from; ValueError where that has another fingerprint than now."""
-    from preimage.storage.runs import find_run, read_config
+    from preimage.storage.reading import is_of, kind_of, tupled
+    from preimage.storage.runs import find_run, part_of, read_config
 
-    learned_from = read_config(find_run(out)).get("data")
-    if not isinstance(learned_from, dict) or learned_from.get("fingerprint") != now:
+    learned_from = part_of(read_config(find_run(out)), "data")
+    if learned_from.get("fingerprint") != now:
         raise ValueError(f"{out} was trained on other demonstrations than those in {data}: resume with the same data")
-    return learned_from
+    held_out = learned_from.get("held_out", [])
+    if not is_of(tupled(held_out), tuple[int, ...]):
+        raise ValueError(f"{out}/config.json holds out {kind_of(held_out)}, not numbers of episodes: restore it or train again")
+    return dict(learned_from)
 
 
 def task_of(demonstrations: "list[Demonstration]") -> str | None:

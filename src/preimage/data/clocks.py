@@ -85,7 +85,7 @@ def find_clock(columns: Mapping[str, Float[np.ndarray, " T"]], *, rate_hz: float
         unit = unit_of(name)
         rest = _nanoseconds_beside(columns, name) if unit == "s" else None
         times_s = values * SECONDS[unit or unit_that_agrees(values, rate_hz)] + (0 if rest is None else rest)
-        if len(times_s) < 2 or (np.diff(times_s) > 0).all():
+        if len(times_s) < 2 or (np.isfinite(times_s).all() and (np.diff(times_s) > 0).all()):
             return Clock(name, times_s)
     return None
 
@@ -105,7 +105,7 @@ def unit_that_agrees(values: Float[np.ndarray, " T"], rate_hz: float | None) -> 
     >>> unit_that_agrees(since_1970, None), unit_that_agrees(100.0 * np.arange(5), 10.0), unit_that_agrees(np.arange(5.0), None)
     ('ns', 'ms', 's')
     """
-    if len(values) < 2:
+    if len(values) < 2 or not np.isfinite(values).all():
         return "s"
     step = float(np.median(np.diff(values)))
     for unit, seconds in SECONDS.items():

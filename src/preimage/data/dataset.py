@@ -14,6 +14,7 @@ True
 
 import hashlib
 import itertools
+import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,15 +28,15 @@ from preimage.data.angles import Wrap
 from preimage.data.clocks import is_clock
 from preimage.data.files import leave_out
 from preimage.data.lerobot_info import EXTRAS, INFO
-from preimage.data.quaternions import changes_its_sign
 from preimage.data.questions import naming, questions_about
 from preimage.data.view import (
     COLOURS,
     Eye,
     View,
+    attitudes_of,
+    is_made_continuous,
     made_continuous,
     moving,
-    quaternions_of,
     read_through,
     reading_by,
     telling_channels,
@@ -46,7 +47,7 @@ from preimage.records import Body, Demonstration, Description, Episode, listed, 
 __all__ = ["Opened", "describe", "episode_numbers", "fingerprint", "load", "open_recordings", "read_episodes"]
 
 BY_DEFAULT = View()
-OTHER_FORMATS = {".npy", ".npz", ".h5", ".hdf5", ".zarr", ".bag", ".mcap", ".db3", ".tfrecord", ".pkl", ".zip", ".tar", ".mp4"}
+OTHER_FORMATS = {".npy", ".npz", ".h5", ".hdf5", ".zarr", ".bag", ".mcap", ".db3", ".tfrecord", ".arrow", ".pkl", ".zip", ".tar", ".mp4"}
 """Of files in which others keep recordings."""
 MOST_LOOKED_AT = 1000
 """Entries of a folder that are looked at for a data set: it may be anybody's home."""
@@ -94,6 +95,7 @@ def open_recordings(
     only: Collection[int] | None = None,
     without: Collection[int] = (),
     progress: Callable[..., None] | None = None,
+    look: Callable[[Episode], None] | None = None,
 ) -> Opened:
     """The demonstrations of a data set, how they were looked at, and a summary of it.
 
@@ -105,6 +107,7 @@ def open_recordings(
         only: numbers of the episodes to read; by default all.
         without: numbers of episodes to leave out.
         progress: called after each episode with the number that is `done` and the `total`.
+        look: called with each episode as `read_episodes` has it.
 
     Raises:
         ValueError: the folder is no data set, or part of it is missing, damaged or contradicts the rest.
@@ -114,8 +117,11 @@ def open_recordings(
     episodes = []
     for episode in room.read_episodes(folder, eye, chosen):
         episodes.append(_whole(episode, folder))
+        if look:
+            look(episode if view.joints is None else _with_joints(episode, view.joints, folder))
         if progress:
             progress(done=len(episodes), total=len(chosen))
+    episodes, empty = _without_empty(episodes, view.joints or ())
     demonstrations = [_demonstration(episode, folder) for episode in episodes]
     numbers = tuple(episode.index for episode in episodes)
     names = demonstrations[0].joint_names
@@ -123,9 +129,9 @@ def open_recordings(
         _refuse_what_is_asked(demonstrations, folder)
     recorded = [each.joints for each in demonstrations]
     if view.wraps is None:
-        read, quaternions, wraps = made_continuous(recorded, names, episodes=numbers)
+        read, attitudes, wraps = made_continuous(recorded, names, episodes=numbers)
     else:  # as the run does that the recordings are looked at for
-        read, quaternions, wraps = [read_through(view, each, names) for each in recorded], quaternions_of(view), wraps_of(view)
+        read, attitudes, wraps = [read_through(view, each, names) for each in recorded], attitudes_of(view), wraps_of(view)
     demonstrations = [replace(each, joints=joints) for each, joints in zip(demonstrations, read, strict=True)]
     joints = view.joints or _chosen_joints(demonstrations, folder)
     if lost := [wrap for wrap in wraps if wrap.impossible and wrap.joint in joints]:
@@ -137,11 +143,11 @@ def open_recordings(
     channels = demonstrations[0].frames.shape[-1]
     if view.colour == "keep" and (telling := telling_channels([each.frames for each in demonstrations])) != channels:
         channels, demonstrations = telling, [replace(each, frames=each.frames[..., :telling].copy()) for each in demonstrations]
-    resolved = reading_by(replace(eye.view, joints=joints, colour=COLOURS.get(channels, "keep")), kept, quaternions)
+    resolved = reading_by(replace(eye.view, joints=joints, colour=COLOURS.get(channels, "keep")), kept, attitudes)
     tasks = {episode.task for episode in episodes}
-    lines = [*_summary(demonstrations, numbers, description, resolved, chosen=view.joints is not None)]
+    lines = [*_summary(demonstrations, numbers, description, resolved, chosen=view.joints is not None, empty=empty)]
     lines += [reads_past(wrap, len(numbers)) for wrap in kept if wrap.episodes]
-    lines += [changes_its_sign(each, len(numbers)) for each in quaternions if each.episodes]
+    lines += [is_made_continuous(each, len(numbers)) for each in attitudes if each.episodes]
     return Opened(demonstrations, numbers, resolved, body, tasks.pop() if len(tasks) == 1 else None, tuple(lines))
 
 
@@ -250,7 +256,9 @@ def _what_to_name(folder: Path) -> str:
     for other in around:
         if other.is_dir() and ((other / INFO).is_file() or plain_folder.is_plain(other)):
             return f"name {other}, which is one"
-    if others := sorted({path.suffix for path in itertools.islice(folder.iterdir(), MOST_LOOKED_AT)} & OTHER_FORMATS):
+    if tables := sorted(path for path in itertools.islice(folder.glob("*/*"), MOST_LOOKED_AT) if path.suffix.lower() == ".csv"):
+        return f"a table of joints is called {plain_folder.TABLE}, and {tables[0]} is not"
+    if others := sorted({f".{part}" for path in around[1:] for part in re.split(r"[.-]", path.name)[1:]} & OTHER_FORMATS):
         return f"convert its {' and '.join(others)} files to a LeRobot data set, or to a folder an episode with pictures and joints.csv"
     return "name the folder that holds meta/ and data/, or the folders of the episodes"
 
@@ -290,6 +298,19 @@ def _demonstration(episode: Episode, folder: Path) -> Demonstration:
         raise ValueError(f"{folder}, episode {episode.index}: {error}; leave it out by --without-episodes {episode.index}") from None
 
 
+def _without_empty(episodes: Sequence[Episode], kept: Collection[str]) -> tuple[list[Episode], list[str]]:
+    """The episodes without the columns that hold no number in any of them, but for those to be kept, and the names of these columns."""
+    names = episodes[0].joint_names
+    if any(episode.joint_names != names for episode in episodes):
+        return list(episodes), []
+    empty = np.all([np.isnan(episode.joints).all(0) for episode in episodes], axis=0) & [name not in kept for name in names]
+    if not empty.any() or empty.all():
+        return list(episodes), []
+    rest = tuple(name for name, is_empty in zip(names, empty, strict=True) if not is_empty)
+    dropped = [name for name in names if name not in rest]
+    return [replace(episode, joints=episode.joints[:, ~empty], joint_names=rest) for episode in episodes], dropped
+
+
 def _refuse_what_is_asked(demonstrations: Sequence[Demonstration], folder: Path) -> None:
     """Raises ValueError where only the user knows whether a column is to be learned; of a data set that was written here all are."""
     if written_here(folder):
@@ -307,7 +328,7 @@ def _chosen_joints(demonstrations: Sequence[Demonstration], folder: Path) -> tup
     if not any(free):
         raise ValueError(f"{folder} has no joints beside its clocks ({', '.join(names)}): choose what is to be learned by --view.joints")
     candidates = [name for name, is_free in zip(names, free, strict=True) if is_free]
-    return tuple(name for name, moves in zip(candidates, moving([each[:, free] for each in joints]), strict=True) if moves)
+    return tuple(name for name, moves in zip(candidates, moving([each[:, free] for each in joints], candidates), strict=True) if moves)
 
 
 def _held(demonstrations: Sequence[Demonstration], joints: tuple[str, ...]) -> dict[str, float]:
@@ -328,25 +349,32 @@ def _with_joints(recording: Recording, joints: tuple[str, ...], folder: Path) ->
 
 
 def _summary(
-    demonstrations: Sequence[Demonstration], numbers: Sequence[int], description: Description, view: View, *, chosen: bool
+    demonstrations: Sequence[Demonstration],
+    numbers: Sequence[int],
+    description: Description,
+    view: View,
+    *,
+    chosen: bool,
+    empty: Collection[str],
 ) -> Iterator[str]:
     assert view.recorded and view.size  # noqa: PT018
     assert view.joints
     steps, rate_hz = sum(map(len, demonstrations)), description.rate_hz
     yield f"{description.version}: {number_of(len(demonstrations), 'episode')}, {number_of(steps, 'step')} at {rate_hz:g} Hz"
     if (len(numbers), numbers[-1] + 1) != (description.num_episodes, description.num_episodes):
-        yield f"episodes {listed(numbers)}; the data set counts {description.num_episodes}"
+        yield f"episode{'' if len(numbers) == 1 else 's'} {listed(numbers)}; the data set counts {description.num_episodes}"
     yield _camera_line(demonstrations, description, view)
     left_out = [name for name in description.joint_names if name not in view.joints]
     if not left_out:
         yield f"{number_of(len(view.joints), 'joint')}: {', '.join(view.joints)}"
         return
     number = f"{len(view.joints)} of {number_of(len(description.joint_names), 'joint')}: {', '.join(view.joints)}"
-    clocks, still = ([name for name in left_out if is_clock(name) is clock] for clock in (True, False))
+    clocks, still = ([name for name in left_out if is_clock(name) is clock and name not in empty] for clock in (True, False))
     if chosen:
         yield f"{number}; left out: {', '.join(left_out)}"
         return
-    why = f"; left out, for they do not move: {', '.join(still)}" if still else ""
+    why = f"; left out, for {'they do' if len(still) > 1 else 'it does'} not move: {', '.join(still)}" if still else ""
+    why += f"; left out, for nothing was recorded of {'them' if len(empty) > 1 else 'it'}: {', '.join(empty)}" if empty else ""
     yield f"{number}{why}" + (f"; left out as {'clocks' if len(clocks) > 1 else 'a clock'}: {', '.join(clocks)}" if clocks else "")
 
 

@@ -171,7 +171,7 @@ def video_frames(path: Path, *, rate_hz: float, from_s: float = 0.0, to_s: float
         return
     half_s = 0.5 / rate_hz
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path.absolute())) as container:
             stream = container.streams.video[0]
             if stream.codec_context is None:
                 yield f"{path} is in a coding that cannot be decoded: record it as H.264 or AV1"

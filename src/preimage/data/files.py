@@ -11,6 +11,8 @@ from typing import Any
 AGAIN = "copy the data set again"
 POINTER = b"version https://git-lfs"
 """How a Git LFS pointer begins."""
+HALF = "holds half a character, which is no text"
+"""What is said of JSON that `loads` refuses so."""
 MOST_TEXT_BYTES = 512 * 2**20
 """A file of text that is larger than this is no description, index or table of joints."""
 
@@ -78,11 +80,26 @@ def read_json_lines(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 def parse_json(text: str, where: str) -> dict[str, Any]:
     try:
-        content = json.loads(text)
+        content = loads(text)
+    except UnicodeEncodeError as error:
+        raise ValueError(f"{where} {HALF}: write it anew") from error
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{where} is not JSON: the file is damaged, {AGAIN}") from error
     if not isinstance(content, dict):
         raise ValueError(f"{where} holds a {type(content).__name__}, not an object: the file is damaged, {AGAIN}")
+    return content
+
+
+def loads(text: str) -> Any:
+    r"""What a text in JSON holds.
+
+    Raises:
+        UnicodeEncodeError: half a character is in it, as in "\ud83d", which nothing could print or write down.
+        ValueError: it is no JSON.
+    """
+    content = json.loads(text)
+    if "\\u" in text:
+        json.dumps(content, ensure_ascii=False).encode()
     return content
 
 

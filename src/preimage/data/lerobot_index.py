@@ -64,7 +64,7 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
     """
     validate_file(path)
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        with pq.ParquetFile(path.absolute(), page_checksum_verification=True) as file:
             _validate_size(path, file.metadata)
             table = file.read(columns=[*columns, *optional])
     except (OSError, pa.ArrowException) as error:

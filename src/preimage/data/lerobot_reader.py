@@ -163,7 +163,7 @@ def _joint_angles(columns: list[list[Any]], where: str, names: tuple[str, ...]) 
     angles = [[np.nan] * len(names) if None in step else [value for cell in step for value in _values(cell)] for step in steps]
     for step, values in enumerate(angles):
         if len(values) != len(names):
-            fault = f"{where}, step {step} has {len(values)} values of the joints, {INFO} names {len(names)}: let them agree"
+            fault = f"{where}, step {step} has {number_of(len(values), 'value')} of the joints, {INFO} names {len(names)}: let them agree"
             return np.zeros((0, len(names))), (fault,)
     try:
         return np.array(angles, np.float64).reshape(-1, len(names)), ()

@@ -80,7 +80,7 @@ def write_files(demonstrations: Sequence[Demonstration], folder: Path, *, task: 
 
     _write_data(data_file, demonstrations, numbers, _schema(features))
     rows = [_index_row(episode, starts, task, _statistics(*both)) for episode, both in enumerate(zip(numbers, histograms, strict=True))]
-    pq.write_table(pa.Table.from_pylist(rows), index_file)
+    pq.write_table(pa.Table.from_pylist(rows), index_file.absolute())
     _write_tasks(folder / TASKS, task)
     everything = {name: np.concatenate([each[name] for each in numbers]) for name in numbers[0]}
     _write_json(folder / STATS, _statistics(everything, np.sum(histograms, axis=0)))
@@ -155,7 +155,7 @@ def _numbers(demonstration: Demonstration, episode: int, start: int) -> Numbers:
 
 
 def _write_data(path: Path, demonstrations: Sequence[Demonstration], numbers: Sequence[Numbers], schema: pa.Schema) -> None:
-    with pq.ParquetWriter(path, schema, write_page_checksum=True) as writer:
+    with pq.ParquetWriter(path.absolute(), schema, write_page_checksum=True) as writer:
         for demonstration, columns in zip(demonstrations, numbers, strict=True):
             pictures = [{"bytes": _encode(frame), "path": f"frame-{step:06d}.png"} for step, frame in enumerate(demonstration.frames)]
             arrays = [pa.array(pictures, PICTURE)]
@@ -199,7 +199,7 @@ def _write_tasks(path: Path, task: str) -> None:
     creator = {"library": "pyarrow", "version": pa.__version__}
     pandas = {"index_columns": ["task"], "column_indexes": [level], "columns": described, "creator": creator, "pandas_version": "2.3.3"}
     table = pa.table({"task_index": pa.array([0], pa.int64()), "task": pa.array([task], pa.string())})
-    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), path)
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), path.absolute())
 
 
 def _histogram(frames: UInt8[np.ndarray, "T H W C"]) -> Int[np.ndarray, "256 3"]:

@@ -110,7 +110,7 @@ def _without_pictures(take: Path) -> str:
     inside = {path.name: len(_pictures_of(path)) for path in sorted(take.iterdir()) if path.is_dir()}
     counted = [f"a folder {name} with {count}" for name, count in inside.items() if count]
     others = sorted({path.suffix.lower() for path in take.iterdir() if path.is_file() and path.suffix and path.name != TABLE})
-    there = " and ".join(counted) or (f"files {', '.join(others)}" if others else "nothing else")
+    there = " and ".join(counted) or (f"a file of the kind {', '.join(others)}" if others else "nothing else")
     help_ = f"put the pictures beside {TABLE}" if counted else f"put {NAMED} files there"
     return f"{take} has no picture beside {TABLE} (there is {there}): {help_}"
 

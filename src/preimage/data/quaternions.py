@@ -26,7 +26,10 @@ NUM_PARTS = 4
 OFF_ONE = 0.01
 """By which the squares may miss one: three digits of each part do. Four joints that are no quaternion miss it within a few steps."""
 LEAST_PARTS_THAT_MOVE = 3
-"""Of four that are not called a quaternion: cosine and sine of one angle beside two columns of zeros add up to one, too."""
+"""Of four that are not called a quaternion: cosine and sine of one angle beside two columns of zeros add up to one, too. Where both of
+these change their sign at once they are one all the same."""
+OPPOSITE = -0.9
+"""Cosine of the angle between two readings of which one has the other's sign: no hand turns by so much in a step."""
 PARTS = {"w", "x", "y", "z", "qw", "qx", "qy", "qz"}
 WORDS = ("quat", "rot", "orientation", "attitude")
 """What the names of a quaternion begin with."""
@@ -57,7 +60,7 @@ def find_quaternions(
     while whole and begin + NUM_PARTS <= len(names):
         columns = slice(begin, begin + NUM_PARTS)
         readings = {number: joints[:, columns] for number, joints in whole.items()}
-        if _is_quaternion(np.concatenate(list(readings.values())), names[columns]):
+        if _is_quaternion(list(readings.values()), names[columns]):
             pole = _pole(list(readings.values()))
             changed = [number for number, each in readings.items() if (_signs(each, pole) < 0).any()]
             found.append(Quaternion(tuple(names[columns]), tuple(pole.tolist()), tuple(changed)))
@@ -82,12 +85,15 @@ def changes_its_sign(quaternion: Quaternion, num_episodes: int) -> str:
     return f"{', '.join(quaternion.columns)} are a quaternion, which changes its sign without turning, in {count}: it is kept on one side"
 
 
-def _is_quaternion(readings: Float[np.ndarray, "T 4"], names: Sequence[str]) -> bool:
+def _is_quaternion(recordings: Sequence[Float[np.ndarray, "_T 4"]], names: Sequence[str]) -> bool:
+    readings = np.concatenate(recordings)
     if not np.isfinite(readings).all() or np.abs(np.square(readings).sum(1) - 1).max() > OFF_ONE:
         return False
     words = [words_of(name) for name in names]
     named = all(each and (each[-1] in PARTS or each[0].startswith(WORDS)) for each in words)
-    return named or int((np.ptp(readings, axis=0) > OFF_ONE).sum()) >= LEAST_PARTS_THAT_MOVE
+    move = int((np.ptp(readings, axis=0) > OFF_ONE).sum())
+    flips = any((np.sum(each[1:] * each[:-1], axis=1) < OPPOSITE).any() for each in recordings)
+    return named or move >= LEAST_PARTS_THAT_MOVE - flips
 
 
 def _pole(readings: Sequence[Float[np.ndarray, "_T 4"]]) -> Float[np.ndarray, " 4"]:

@@ -55,9 +55,10 @@ def questions_about(names: Sequence[str], recordings: Sequence[Float[np.ndarray,
     """
     free = {name: count for name, count in zip(names, evenly_counting(recordings), strict=True) if not is_clock(name)}
     rising, falling, others = ([name for name, count in free.items() if count == sign] for sign in (1, -1, 0))
-    moves = dict(zip(names, moving(recordings), strict=True))
-    beside = [name for name in others if moves[name] and NO_POSITIONS & set(words_of(name))]
-    joints = [name for name in others if name not in beside]
+    moves = dict(zip(names, moving(recordings, names), strict=True))
+    called_so = [name for name in others if NO_POSITIONS & set(words_of(name))]
+    beside = [name for name in called_so if moves[name]]
+    joints = [name for name in others if name not in (called_so if beside else [])]
     why = "evenly in every episode, as a clock or a counter does"
     asked = [(rising, ("rises", "rise"), why), (falling, ("falls", "fall"), why)]
     if joints and not beside:

@@ -77,7 +77,7 @@ def _rows_of(path: Path) -> list[list[str]]:
     if separator == "#":
         return [line.split() for line in text.splitlines() if line.strip()]
     try:
-        table = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+        table = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
         rows = [row for row in table if any(cell.strip() for cell in row)]
     except csv.Error as error:
         raise ValueError(f"{path} is no table ({error}): {HOLDS}") from error

@@ -18,6 +18,7 @@ further than `size` asks for: a picture of other proportions than the recordings
 ((64, 64), (64, 64, 3), (64, 64, 3))
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -28,7 +29,9 @@ from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
 from preimage.data.angles import Wrap, find_wraps, unwrapped
-from preimage.data.quaternions import NUM_PARTS, Quaternion, find_quaternions, on_one_side
+from preimage.data.quaternions import NUM_PARTS, Quaternion, changes_its_sign, find_quaternions, on_one_side
+from preimage.data.rotation_vectors import NUM_PARTS as NUM_OF_VECTOR
+from preimage.data.rotation_vectors import RotationVector, find_rotation_vectors, followed, leaps_over
 from preimage.network.config import Sensors
 
 LADDER = 16
@@ -39,6 +42,10 @@ LIVELY, LEAST, SHARE_OF_RANGE = 1 / 5, 1 / 100, 1 / 3
 """A joint moves where one episode in ten crosses `LIVELY` of what the liveliest joint crosses. As units differ (a gripper in metres beside
 radians), it does too where that is above `LEAST`, the noise of a sensor, and `SHARE_OF_RANGE` of all angles that the joint takes in the
 set: what was only put elsewhere between episodes does not move."""
+GRIPPER = re.compile("grip|finger|jaw|claw|pinch")
+"""In the name of a joint: its unit is its own, metres or ones beside degrees, and what it does is small beside them."""
+MOST_TO_AND_FRO, EVERY_FEW_STEPS = 4.0, 0.1
+"""Times that a gripper opens or closes in an episode, or in a step of it, at most; white noise makes twice as many in 20 steps."""
 ALIKE = 0.02
 """Two sizes have the same proportions where they differ by less than this share: 854x480 counts as 16:9."""
 COLOURS: Mapping[int, Literal["grey", "colour"]] = {1: "grey", 3: "colour"}
@@ -79,6 +86,12 @@ class View:
     """Names of the columns of quaternions, four for each (`data.quaternions`); the data resolve it."""
     poles: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
     """The reading on whose side the first of an episode is taken, four numbers for each."""
+    rotations: Annotated[tuple[str, ...], tyro.conf.Suppress] = ()
+    """Names of the columns of rotation vectors that leap, three for each (`data.rotation_vectors`); the data resolve it."""
+    rotation_turns: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
+    """A full turn of each of them, in its unit."""
+    rotation_poles: Annotated[tuple[float, ...], tyro.conf.Suppress] = ()
+    """The reading nearest to which the first of an episode is taken, three numbers for each."""
 
 
 def wraps_of(view: View) -> list[Wrap]:
@@ -86,14 +99,21 @@ def wraps_of(view: View) -> list[Wrap]:
     return [Wrap(*wrap) for wrap in zip(view.wraps or (), view.turns, view.seams, strict=True)]
 
 
-def quaternions_of(view: View) -> list[Quaternion]:
-    """On which side the view keeps quaternions."""
-    parts = [slice(begin, begin + NUM_PARTS) for begin in range(0, len(view.quaternions), NUM_PARTS)]
-    return [Quaternion(view.quaternions[each], view.poles[each]) for each in parts]
+def attitudes_of(view: View) -> list[Quaternion | RotationVector]:
+    """On which side the view keeps quaternions, and how it follows rotation vectors."""
+    quaternions = [Quaternion(view.quaternions[part], view.poles[part]) for part in _parts(view.quaternions, NUM_PARTS)]
+    parts = zip(_parts(view.rotations, NUM_OF_VECTOR), view.rotation_turns, strict=True)
+    return quaternions + [RotationVector(view.rotations[part], turn, view.rotation_poles[part]) for part, turn in parts]
 
 
-def reading_by(view: View, wraps: Sequence[Wrap], quaternions: Sequence[Quaternion]) -> View:
-    """The view that reads joints so (`wraps_of`, `quaternions_of`)."""
+def _parts(names: Sequence[str], count: int) -> list[slice]:
+    return [slice(begin, begin + count) for begin in range(0, len(names), count)]
+
+
+def reading_by(view: View, wraps: Sequence[Wrap], attitudes: Sequence[Quaternion | RotationVector]) -> View:
+    """The view that reads joints so (`wraps_of`, `attitudes_of`)."""
+    quaternions = [each for each in attitudes if isinstance(each, Quaternion)]
+    rotations = [each for each in attitudes if isinstance(each, RotationVector)]
     return replace(
         view,
         wraps=tuple(wrap.joint for wrap in wraps),
@@ -101,22 +121,36 @@ def reading_by(view: View, wraps: Sequence[Wrap], quaternions: Sequence[Quaterni
         seams=tuple(wrap.seam for wrap in wraps),
         quaternions=tuple(name for each in quaternions for name in each.columns),
         poles=tuple(number for each in quaternions for number in each.pole),
+        rotations=tuple(name for each in rotations for name in each.columns),
+        rotation_turns=tuple(each.turn for each in rotations),
+        rotation_poles=tuple(number for each in rotations for number in each.pole),
     )
 
 
 def made_continuous(
     recordings: Sequence[Float[np.ndarray, "_T J"]], names: Sequence[str], *, episodes: Sequence[int]
-) -> tuple[list[Float[np.ndarray, "_T J"]], list[Quaternion], list[Wrap]]:
-    """The joints of all episodes with quaternions on one side and angles unwrapped, and what of both was found."""
+) -> tuple[list[Float[np.ndarray, "_T J"]], list[Quaternion | RotationVector], list[Wrap]]:
+    """The joints of all episodes, quaternions on one side, rotation vectors followed, angles unwrapped, and what was found of these."""
     quaternions = find_quaternions(recordings, names, episodes=episodes)
     recordings = [on_one_side(joints, names, quaternions) for joints in recordings]
+    rotations = find_rotation_vectors(recordings, names, episodes=episodes)
+    recordings = [followed(joints, names, rotations) for joints in recordings]
     wraps = find_wraps(recordings, names, episodes=episodes)
-    return [unwrapped(joints, names, wraps) for joints in recordings], quaternions, wraps
+    return [unwrapped(joints, names, wraps) for joints in recordings], [*quaternions, *rotations], wraps
+
+
+def is_made_continuous(attitude: Quaternion | RotationVector, num_episodes: int) -> str:
+    """A sentence on an attitude of which readings were changed."""
+    say = changes_its_sign if isinstance(attitude, Quaternion) else leaps_over
+    return say(attitude, num_episodes)  # pyright: ignore[reportArgumentType]
 
 
 def read_through(view: View, joints: Float[np.ndarray, "T J"], names: Sequence[str]) -> Float[np.ndarray, "T J"]:
-    """The joints of an episode, or of one step, as a resolved view reads them: angles unwrapped, quaternions on one side."""
-    return unwrapped(on_one_side(joints, names, quaternions_of(view)), names, wraps_of(view))
+    """The joints of an episode, or of one step, as a resolved view reads them."""
+    attitudes = attitudes_of(view)
+    joints = on_one_side(joints, names, [each for each in attitudes if isinstance(each, Quaternion)])
+    joints = followed(joints, names, [each for each in attitudes if isinstance(each, RotationVector)])
+    return unwrapped(joints, names, wraps_of(view))
 
 
 def default_size(height: int, width: int) -> tuple[int, int]:
@@ -226,13 +260,26 @@ def telling_channels(recordings: Sequence[UInt8[np.ndarray, "_F H W C"]]) -> int
     return channels
 
 
-def moving(recordings: Sequence[Float[np.ndarray, "_T J"]]) -> Bool[np.ndarray, " J"]:
-    """Which joints move; all of them where none does."""
+def moving(recordings: Sequence[Float[np.ndarray, "_T J"]], names: Sequence[str] = ()) -> Bool[np.ndarray, " J"]:
+    """Which joints move; all of them where none does.
+
+    Args:
+        names: of the joints: what is called a gripper moves however small its numbers are, unless it trembles.
+    """
     within = np.quantile([np.ptp(joints, axis=0) for joints in recordings], 0.9, axis=0)  # (J,)
     overall = np.ptp(np.concatenate(recordings), axis=0)
     lively, above_noise = within >= LIVELY * within.max(), within >= LEAST * within.max()
+    above_noise |= [bool(GRIPPER.search(name.lower())) for name in names or [""] * len(within)] & ~_trembling(recordings)
     moves = (within > 0) & (lively | (above_noise & (within >= SHARE_OF_RANGE * overall)))
     return moves if moves.any() else np.ones_like(moves)
+
+
+def _trembling(recordings: Sequence[Float[np.ndarray, "_T J"]]) -> Bool[np.ndarray, " J"]:
+    """Which joints go to and fro as noise does, all their steps together so many times as long as they get."""
+    ways = [np.abs(np.diff(joints, axis=0)).sum(0) for joints in recordings]
+    sizes = [np.maximum(np.ptp(joints, axis=0), np.finfo(float).tiny) for joints in recordings]
+    most = [max(MOST_TO_AND_FRO, EVERY_FEW_STEPS * len(joints)) for joints in recordings]
+    return np.median([way / size / times for way, size, times in zip(ways, sizes, most, strict=True)], axis=0) > 1
 
 
 class Eye:

@@ -30,7 +30,7 @@ from preimage.records import Demonstration, Plan, Shown, number_of
 from preimage.report import film
 from preimage.storage.atomic_write import write_json
 from preimage.storage.provenance import provenance
-from preimage.storage.runs import episodes_of, find_run, made_from, read_config, read_shown, read_view
+from preimage.storage.runs import episodes_of, find_run, made_from, part_of, read_config, read_shown, read_view
 
 NOTE = "How near what is imagined comes to what was recorded. This is no success rate: no robot moved, and other ways may lead there too."
 NUM_MOMENTS = 50
@@ -162,7 +162,7 @@ def compare_run(
     """
     folder = find_run(run)
     planner, shown = load_planner(folder, options, device=group.device), read_shown(folder)
-    if only is None and (read_config(folder).get("data") or {}).get("name") == data.name:
+    if only is None and part_of(read_config(folder), "data").get("name") == data.name:
         only = episodes_of(folder)
     opened = open_recordings(data, view=read_view(folder), only=only, without=without)
     recorded = dict(zip(opened.episodes, opened.demonstrations, strict=True))
@@ -266,7 +266,7 @@ def frames_at_moments(frames: UInt8[np.ndarray, "T H W C"], count: int) -> UInt8
 
 def about_run(run: str, folder: Path, data: Path, recorded: Sequence[Demonstration]) -> dict[str, Any]:
     """Which run is compared with which data, and whether those are the data whose other episodes it was trained on."""
-    trained_on, name = read_config(folder).get("data") or {}, fingerprint(recorded)
+    trained_on, name = part_of(read_config(folder), "data"), fingerprint(recorded)
     compared_with = {"name": data.name, "fingerprint": name, "rest_was_trained_on": trained_on.get("fingerprint") == name}
     return {"kind": "held-out", "model": run, "data": compared_with} | made_from(folder)
 

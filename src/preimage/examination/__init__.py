@@ -14,21 +14,19 @@ It reads no file and draws nothing. Each threshold stands by its name, with the 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from preimage.examination.findings import Finding, Kind, Severity
 from preimage.examination.goals import coverage, duplicates, spacing, untold
 from preimage.examination.joints import frozen, jumps, not_finite, out_of_range, starts, unrecorded, unrest
-from preimage.examination.otherwise import Begun, another_zero, recorded_otherwise
+from preimage.examination.otherwise import another_zero, backwards, recorded_otherwise
 from preimage.examination.pictures import blank, lost, moved, scene, stuck
 from preimage.examination.recording import LEAST_STEPS, alike, clock, durations, lengths, unreadable
 from preimage.examination.seen import RATE_HZ, Seen, look_through
 from preimage.examination.selection import clocks, gaps, tasks, unwrap
 from preimage.examination.timing import lag, stale, waits
 from preimage.examination.viewpoint import CameraMove, camera_moves
-from preimage.records import Demonstration, Episode, number_of
+from preimage.records import Episode, number_of
 
-__all__ = ["CameraMove", "Examination", "Finding", "Kind", "Seen", "Severity", "examine", "validate"]
+__all__ = ["CameraMove", "Examination", "Finding", "Kind", "Seen", "Severity", "examination_of", "examine", "look_through"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +44,11 @@ class Examination:
         return not self._named(Severity.FAULT)
 
     @property
+    def warnings(self) -> list[Finding]:
+        """What was found that makes plans worse."""
+        return [finding for finding in self.findings if finding.severity is Severity.WARNING]
+
+    @property
     def verdict(self) -> str:
         """One or two sentences for somebody who has never done this."""
         if faults := self._named(Severity.FAULT):
@@ -55,6 +58,11 @@ class Examination:
         ready = f"Ready to train: nothing is wrong with the {number_of(len(self.seen), 'episode')}."
         advice = [finding.kind.value for finding in self.findings if finding.help]
         return f"{ready} What would make plans better is said above ({', '.join(advice)})." if advice else ready
+
+    def validate(self) -> None:
+        """Raises ValueError where something makes training impossible: what, and what would help."""
+        if not self.trainable:
+            raise ValueError(f"{self.findings[0].what}: {self.findings[0].help}")
 
     def _named(self, severity: Severity) -> list[str]:
         return list(dict.fromkeys(finding.kind.value for finding in self.findings if finding.severity is severity))
@@ -70,7 +78,11 @@ def examine(episodes: Iterable[Episode], *, rate_hz: float = RATE_HZ, joints_cho
     Raises:
         ValueError: there is no episode.
     """
-    seen = [look_through(episode, rate_hz=rate_hz) for episode in episodes]
+    return examination_of([look_through(episode, rate_hz=rate_hz) for episode in episodes], joints_chosen=joints_chosen)
+
+
+def examination_of(seen: Sequence[Seen], *, joints_chosen: bool = False) -> Examination:
+    """What `examine` finds, of episodes that were looked through already."""
     if not seen:
         raise ValueError("there is no episode to look at: record one or more")
     comparable, findings = alike(seen)
@@ -79,35 +91,10 @@ def examine(episodes: Iterable[Episode], *, rate_hz: float = RATE_HZ, joints_cho
     moves = camera_moves(whole)
     if whole:
         findings += clocks(whole, chosen=joints_chosen)
-        whole, wraps = unwrap(whole)
+        whole, wraps = unwrap(whole, chosen=joints_chosen)
         findings += [*wraps, *_findings(whole, moves)]
     order = list(Severity)
-    return Examination(sorted(findings, key=lambda finding: order.index(finding.severity)), seen, moves)
-
-
-def validate(demonstrations: Sequence[Demonstration], episodes: Sequence[int]) -> None:
-    """Nothing is trained on that an examination would call a fault of the whole set; all other faults are refused as the set is opened.
-
-    Args:
-        episodes: their numbers.
-
-    Raises:
-        ValueError: no joint moves, no frame shows anything, the camera stands still while the arm moves, or some episodes were recorded
-            otherwise than the rest.
-    """
-    if not any(np.ptp(one.joints, axis=0).any() for one in demonstrations):
-        raise ValueError("no joint ever moves: look whether the joints were recorded")
-    begun = [Begun(number, one.joint_names, one.joints, one.frames[0]) for number, one in zip(episodes, demonstrations, strict=True)]
-    if found := [*unrecorded(begun), *recorded_otherwise(begun)]:
-        raise ValueError(f"{found[0].what}: {found[0].help}")
-    seen: list[Seen] = []
-    for number, one in zip(episodes, demonstrations, strict=True):
-        seen.append(look_through(Episode(number, one.frames, one.joints, one.joint_names, None, len(one), one.rate_hz, None)))
-        if not [*blank(seen[-1:]), *stuck(seen[-1:])]:
-            return
-    for finding in (*blank(seen), *stuck(seen)):
-        if finding.severity is Severity.FAULT:
-            raise ValueError(f"{finding.what}: {finding.help}")
+    return Examination(sorted(findings, key=lambda finding: order.index(finding.severity)), list(seen), moves)
 
 
 def _findings(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> list[Finding]:
@@ -115,4 +102,13 @@ def _findings(seen: Sequence[Seen], moves: Sequence[CameraMove]) -> list[Finding
     of_arm = [*clock(seen), *frozen(seen), *out_of_range(seen), *jumps(seen), *waits(seen), *unrest(seen)]
     of_camera = [*blank(seen), *stuck(seen), *lost(seen), *stale(seen), *lag(seen), *moved(seen, moves)]
     of_goals = [*duplicates(seen, apart), *untold(seen, moves), *starts(seen), *coverage(seen, apart)]
-    return [*unrecorded(seen), *recorded_otherwise(seen), *another_zero(seen), *of_arm, *of_camera, *of_goals, *scene(seen)]
+    return [
+        *unrecorded(seen),
+        *recorded_otherwise(seen),
+        *another_zero(seen),
+        *backwards(seen),
+        *of_arm,
+        *of_camera,
+        *of_goals,
+        *scene(seen),
+    ]

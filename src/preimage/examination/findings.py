@@ -1,7 +1,7 @@
 """What an examination says: findings, each of a kind and a severity, and the words for where they are."""
 
 import enum
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from preimage.records import listed
@@ -27,6 +27,7 @@ class Kind(enum.Enum):
     COUNTER = "columns that are no joints"
     WRAPS = "angles that wrap"
     SIGN = "quaternions that change their sign"
+    LEAPS = "rotation vectors that leap"
     UNLIKE = "episodes unlike each other"
     OTHERWISE = "episodes recorded otherwise"
     LENGTHS = "missing or extra frames"
@@ -39,6 +40,7 @@ class Kind(enum.Enum):
     WAITS = "long rest at the start"
     UNREST = "no rest at the end"
     STARTS = "starts differ"
+    BACKWARDS = "episodes played backwards"
     ZERO = "another zero"
     UNRECORDED = "joints not recorded"
     BLANK = "blank frames"
@@ -80,6 +82,15 @@ def in_episodes(episodes: Iterable[int], do: str = "") -> str:
     chosen = sorted(set(episodes))
     one = len(chosen) == 1
     return f"episode{'' if one else 's'} {listed(chosen)}" + (f" {do}{'s' if one else ''}" if do else "")
+
+
+def of_joints(names: Sequence[str], one: str, several: str) -> str:
+    """The joints by their names, and what one does, or what several do.
+
+    >>> of_joints(["wrist"], "jumps", "jump"), of_joints(["wrist", "gripper"], "jumps", "jump")
+    ('wrist jumps', 'wrist, gripper jump')
+    """
+    return f"{', '.join(names)} {one if len(names) == 1 else several}"
 
 
 def leaving_out(episodes: Iterable[int], most: int = 12) -> str:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from preimage.examination.findings import Finding, Kind, Severity, in_episodes
 from preimage.examination.seen import Seen, divisors
 from preimage.examination.viewpoint import CameraMove, stretches
+from preimage.records import number_of
 
 SAME_JOINTS = 0.01
 """Share of a joint's span within which two goals are one: a tenth of the way between neighbours among a hundred."""
@@ -53,7 +54,8 @@ def duplicates(seen: Sequence[Seen], apart: Spacing) -> Iterator[Finding]:
     if not repeated:
         return
     pairs = [f"{seen[a].index} and {seen[b].index}" for a, b in np.argwhere(same)[:4]]
-    what = f"{in_episodes(repeated, 'end')} where an earlier one ends ({', '.join(pairs)}): {len(seen) - len(repeated)} different goals"
+    what = f"{in_episodes(repeated, 'end')} where an earlier one ends ({', '.join(pairs)}): "
+    what += number_of(len(seen) - len(repeated), "different goal")
     yield Finding(Kind.DUPLICATES, Severity.WARNING, what, "spread the goals over the whole room", tuple(repeated))
 
 

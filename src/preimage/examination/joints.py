@@ -3,10 +3,10 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from preimage.data.joint_range import FULL_TURN_RAD
-from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, leaving_out
+from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, leaving_out, of_joints
 from preimage.examination.seen import Recorded, Seen, divisors, spans, wide_spans
 from preimage.records import listed
 
@@ -28,15 +28,21 @@ STARTS = 0.05
 
 def not_finite(seen: Sequence[Seen]) -> Iterator[Finding]:
     places, joints = [], set()
+    empty = _empty(seen)
+    if empty.any():
+        names = _named(seen, empty)
+        what = of_joints(names, "holds no number anywhere; training leaves it out", "hold no number anywhere; training leaves them out")
+        yield Finding(Kind.NOT_FINITE, Severity.NOTE, what, joints=names)
     for one in seen:
-        steps, which = np.nonzero(~np.isfinite(one.recorded_joints))
+        steps, which = np.nonzero(~np.isfinite(one.recorded_joints) & ~empty)
         places += [(one.index, int(step)) for step in np.unique(steps)]
         joints |= {one.joint_names[joint] for joint in which}
     if places:
         names = tuple(sorted(joints))
-        what = f"{', '.join(names)} hold no number at {at_places(places)}"
+        what = f"{of_joints(names, 'holds', 'hold')} no number at {at_places(places)}"
         episodes = episodes_of(places)
-        yield Finding(Kind.NOT_FINITE, Severity.FAULT, what, leaving_out(episodes), episodes, tuple(places), names)
+        help_ = leaving_out(episodes) if len(episodes) < len(seen) else "take these rows and their pictures out"
+        yield Finding(Kind.NOT_FINITE, Severity.FAULT, what, help_, episodes, tuple(places), names)
 
 
 def unrecorded(seen: Sequence[Recorded]) -> Iterator[Finding]:
@@ -59,11 +65,16 @@ def unrecorded(seen: Sequence[Recorded]) -> Iterator[Finding]:
 
 def frozen(seen: Sequence[Seen]) -> Iterator[Finding]:
     still = ~np.isfinite(divisors(seen))
-    names = _named(seen, still)
+    names = _named(seen, still & ~_empty(seen))
     if still.all():
         yield Finding(Kind.FROZEN, Severity.FAULT, "no joint ever moves", "look whether the joints were recorded", joints=names)
     elif names:
-        what = f"{', '.join(names)} hardly move within an episode; training leaves them out where they are not named (--view.joints)"
+        what = of_joints(
+            names,
+            "hardly moves within an episode; training leaves it out where it is",
+            "hardly move within an episode; training leaves them out where they are",
+        )
+        what += " not named (--view.joints)"
         yield Finding(Kind.FROZEN, Severity.NOTE, what, joints=names)
 
 
@@ -73,7 +84,7 @@ def out_of_range(seen: Sequence[Seen]) -> Iterator[Finding]:
     beyond = farthest > FULL_TURN_RAD
     if beyond.any() and beyond.mean() < 0.5:
         names = _named(seen, beyond)
-        what = f"{', '.join(names)} go to {farthest.max():.3g} while the others look like radians"
+        what = f"{of_joints(names, 'goes', 'go')} to {farthest.max():.3g} while the others look like radians"
         episodes = tuple(one.index for one in seen if (np.abs(one.joints) > FULL_TURN_RAD).any())
         help_ = "look at the unit, and for an encoder that counts turns"
         yield Finding(Kind.RANGE, Severity.WARNING, what, help_, episodes, joints=names)
@@ -94,7 +105,7 @@ def jumps(seen: Sequence[Seen]) -> Iterator[Finding]:
         places += [(one.index, int(step)) for step in np.flatnonzero(strange.any(1))]
     if places:
         names, episodes = _named(seen, joints), episodes_of(places)
-        what = f"{', '.join(names)} jump at {at_places(places)}, far faster than anywhere else"
+        what = f"{of_joints(names, 'jumps', 'jump')} at {at_places(places)}, far faster than anywhere else"
         help_ = f"{leaving_out(episodes)}, or look at the sensor's cable"
         yield Finding(Kind.JUMP, Severity.WARNING, what, help_, episodes, tuple(places), names)
 
@@ -120,6 +131,12 @@ def starts(seen: Sequence[Seen]) -> Iterator[Finding]:
         what = f"start poses scatter by up to {100 * scatter.max():.0f} % of a joint's span ({_some(names)})"
         help_ = "say where a plan starts (--start): without it, it starts at the mean"
         yield Finding(Kind.STARTS, Severity.NOTE, what, help_, joints=names)
+
+
+def _empty(seen: Sequence[Seen]) -> Bool[np.ndarray, " J"]:
+    """The joints of which nothing was recorded, where there are others."""
+    empty = np.all([np.isnan(one.recorded_joints).all(0) for one in seen], axis=0)
+    return empty & ~empty.all()
 
 
 def _without_spikes(joints: Float[np.ndarray, "T J"]) -> Float[np.ndarray, "T J"]:

@@ -6,10 +6,9 @@ changes between episodes: how far the joints go, where they start, and what stan
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float32, UInt8
 
 from preimage.data.view import LONGEST
 from preimage.examination.findings import Finding, Kind, Severity, in_episodes, leaving_out
@@ -39,16 +38,6 @@ AS_ALIKE, NOISE = 1.1, 0.2
 averaged over blocks."""
 LEAST_EPISODES = 3
 """Of two nobody can say which is the odd one."""
-
-
-@dataclass(frozen=True, eq=False)
-class Begun:
-    """As much of an episode as is compared."""
-
-    index: int
-    joint_names: tuple[str, ...]
-    joints: Float[np.ndarray, "T J"]
-    first: UInt8[np.ndarray, "H W C"] | None
 
 
 def recorded_otherwise(seen: Sequence[Recorded]) -> Iterator[Finding]:
@@ -97,6 +86,24 @@ def another_order(seen: Sequence[Recorded]) -> Iterator[Finding]:
         moved = [names[column] for column in np.flatnonzero((apart[usual][odd] > OTHER_START).any(0))]
         said = f"{in_episodes(episodes, 'start')} with the numbers of the others in other columns "
         yield _finding(said + f"({', '.join(moved)})", f"put the columns in one order, or {leaving_out(episodes)}", episodes)
+
+
+def backwards(seen: Sequence[Recorded]) -> Iterator[Finding]:
+    """Some episodes end where all others start, and start elsewhere: a recording was turned round.
+
+    No fault, for they may show the way back.
+    """
+    span = wide_spans(seen)
+    starts, ends = (np.array([one.joints[place] for one in seen]) for place in (0, -1))
+    alike = np.all(np.abs(starts[:, None] - starts[None]) < SAME_START * span, axis=-1)
+    usual = int(alike.sum(1).argmax())
+    ends_there = np.all(np.abs(ends - starts[usual]) < SAME_START * span, axis=-1)
+    odd = ends_there & (np.abs(starts - starts[usual]) > OTHER_START * span).any(1)
+    if odd.any() and alike[usual].sum() >= LEAST_EPISODES and not (ends_there & alike[usual]).any():
+        episodes = [seen[place].index for place in np.flatnonzero(odd).tolist()]
+        what = f"{in_episodes(episodes, 'end')} where the others start, and start elsewhere, as if played backwards"
+        help_ = f"turn their pictures and rows round, or {leaving_out(episodes)}"
+        yield Finding(Kind.BACKWARDS, Severity.WARNING, what, help_, tuple(episodes))
 
 
 def another_zero(seen: Sequence[Recorded]) -> Iterator[Finding]:

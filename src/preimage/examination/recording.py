@@ -57,7 +57,8 @@ def lengths(seen: Sequence[Seen]) -> Iterator[Finding]:
     counts = f"{worst.num_frames} frames, {worst.num_steps} rows of joints, {worst.declared_length} in the index"
     counts += several_each(worst.num_frames, worst.num_steps)
     what = f"{in_episodes(one.index for one in wrong)} (episode {worst.index}: {counts})"
-    help_ = f"record these again or {leaving_out(one.index for one in wrong)}: which frame belongs to which joints cannot be known"
+    again = "record these again" + (f" or {leaving_out(one.index for one in wrong)}" if len(wrong) < len(seen) else "")
+    help_ = f"{again}: which frame belongs to which joints cannot be known"
     yield Finding(Kind.LENGTHS, Severity.FAULT, what, help_, tuple(one.index for one in wrong))
 
 
@@ -97,11 +98,13 @@ def clock(seen: Sequence[Seen]) -> Iterator[Finding]:
     late = _where(ticks, lambda gap: gap > DROPPED * tick)
     if late:
         longest = max(float(gaps.max()) for gaps in ticks.values())
-        what = f"{len(late)} gaps of up to {longest:.2g} s where a step takes {tick:.2g} s ({at_places(late)}): samples were dropped"
+        what = f"{number_of(len(late), 'gap')} of up to {longest:.2g} s where a step takes {tick:.2g} s "
+        what += f"({at_places(late)}): samples were dropped"
         yield Finding(Kind.CLOCK, Severity.WARNING, what, f"{leaving_out(episodes_of(late))}, or record with less load", *_of(late))
     uneven = _where(ticks, lambda gap: (np.abs(gap - tick) > JITTER * tick) & (gap <= DROPPED * tick))
     if uneven:
-        what = f"{len(uneven)} samples come more than {100 * JITTER:.0f} % of a step too early or late ({at_places(uneven)})"
+        comes = "sample comes" if len(uneven) == 1 else "samples come"
+        what = f"{len(uneven)} {comes} more than {100 * JITTER:.0f} % of a step too early or late ({at_places(uneven)})"
         yield Finding(Kind.CLOCK, Severity.WARNING, what, "let the recorder wait for its clock", *_of(uneven))
 
 

@@ -155,7 +155,7 @@ def wide_spans(seen: Sequence[Recorded]) -> Float[np.ndarray, " J"]:
 
 def divisors(seen: Sequence[Seen]) -> Float[np.ndarray, " J"]:
     """What to divide each joint by, so that all that are learned count alike; infinite for the others (`data.view.moving`)."""
-    return np.where(moving([one.joints for one in seen]), wide_spans(seen), np.inf)
+    return np.where(moving([one.joints for one in seen], seen[0].joint_names), wide_spans(seen), np.inf)
 
 
 def _mended(joints: Float[np.ndarray, "T J"]) -> Float[np.ndarray, "T J"]:

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 from preimage.data.clocks import is_clock
 from preimage.data.dataset import cannot_unwrap, reads_past
-from preimage.data.quaternions import changes_its_sign
+from preimage.data.quaternions import Quaternion
 from preimage.data.questions import questions_about
-from preimage.data.view import made_continuous
-from preimage.examination.findings import Finding, Kind, Severity, in_episodes
+from preimage.data.view import is_made_continuous, made_continuous, moving
+from preimage.examination.findings import Finding, Kind, Severity, in_episodes, of_joints
 from preimage.examination.seen import Seen
 from preimage.records import listed, number_of
 
@@ -24,18 +24,26 @@ def clocks(seen: Sequence[Seen], *, chosen: bool) -> Iterator[Finding]:
     for question in questions_about(names, [one.joints for one in seen]):
         yield Finding(Kind.COUNTER, Severity.FAULT, question.what, question.help, joints=question.columns)
     if known := tuple(name for name in names if is_clock(name)):
-        what = f"{', '.join(known)} {'is a clock' if len(known) == 1 else 'are clocks'} and no joint; training leaves it out"
+        what = of_joints(known, "is a clock and no joint; training leaves it out", "are clocks and no joints; training leaves them out")
         yield Finding(Kind.COUNTER, Severity.NOTE, what, joints=known)
 
 
-def unwrap(seen: Sequence[Seen]) -> tuple[list[Seen], list[Finding]]:
-    """The episodes with quaternions on one side and angles that wrap unwrapped, as training does, and a finding about each of them."""
+def unwrap(seen: Sequence[Seen], *, chosen: bool) -> tuple[list[Seen], list[Finding]]:
+    """The episodes as training reads their joints (`made_continuous`), and a finding about each column that is read otherwise.
+
+    A joint that cannot be unwrapped is a fault only where it is learned.
+
+    Args:
+        chosen: the user has named the joints: all of them are learned.
+    """
     names, findings = seen[0].joint_names, []
-    joints, quaternions, wraps = made_continuous([one.joints for one in seen], names, episodes=[one.index for one in seen])
-    for each in (each for each in quaternions if each.episodes):
-        what = f"{changes_its_sign(each, len(seen))}, in training too"
-        findings.append(Finding(Kind.SIGN, Severity.NOTE, what, episodes=each.episodes, joints=each.columns))
-    for wrap in wraps:
+    joints, attitudes, wraps = made_continuous([one.joints for one in seen], names, episodes=[one.index for one in seen])
+    for each in (each for each in attitudes if each.episodes):
+        kind = Kind.SIGN if isinstance(each, Quaternion) else Kind.LEAPS
+        what = f"{is_made_continuous(each, len(seen))}, in training too"
+        findings.append(Finding(kind, Severity.NOTE, what, episodes=each.episodes, joints=each.columns))
+    learned = {name for name, moves in zip(names, moving(joints, names), strict=True) if chosen or (moves and not is_clock(name))}
+    for wrap in (wrap for wrap in wraps if wrap.joint in learned):
         if wrap.impossible:
             what, help_ = cannot_unwrap(wrap, [name for name in names if name != wrap.joint])
             findings.append(Finding(Kind.WRAPS, Severity.FAULT, what, help_, joints=(wrap.joint,)))

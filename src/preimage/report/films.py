@@ -163,7 +163,7 @@ def _font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
 
 def _write_mp4(path: Path, pictures: Iterator[Image.Image], rate_hz: float) -> None:
     last = next(pictures)
-    with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
+    with av.open(str(path.absolute()), "w", format="mp4", options={"movflags": "faststart"}) as container:
         stream = container.add_stream("libx264", rate=Fraction(rate_hz).limit_denominator(1000))
         stream.width, stream.height = last.size
         stream.pix_fmt = "yuv420p"

@@ -15,26 +15,30 @@ Results = Sequence[Mapping[str, Any]]
 Number, Pair = float, tuple[float, float]
 COUNTED = {"success": int, "goals": int, "interval": Pair}
 """Shapes of what is read: the type of each entry, `?` after a name that may be missing, `*` for names of any kind."""
+SEEDS = {"training_seed?": int, "training_seeds?": tuple[int, ...]}
 PAPER = {"success_rate": Number, "*": Number}
-EVALUATION = COUNTED | {
-    "task": str,
-    "loop": str,
-    "seed": int,
-    "seconds_per_plan": Number,
-    "deviation_cm": {"mean": Number},
-    "baselines": {"*": {"success": int}},
-    "preset": str,
-    "size?": str,
-    "num_demonstrations?": int,
-    "training_seed?": int,
-    "trained_on?": str,
-    "paper?": PAPER,
-    "pixels?": int,
-    "training_seconds?": Number,
-    "provenance?": Mapping,
-    "within_pixels?": {"1": COUNTED, "2": COUNTED, "3": COUNTED},
-    "placed_once_grasped?": COUNTED,
-}
+EVALUATION = (
+    COUNTED
+    | {
+        "task": str,
+        "loop": str,
+        "seed": int,
+        "seconds_per_plan": Number,
+        "deviation_cm": {"mean": Number},
+        "baselines": {"*": {"success": int}},
+        "preset": str,
+        "size?": str,
+        "num_demonstrations?": int,
+        "trained_on?": str,
+        "paper?": PAPER,
+        "pixels?": int,
+        "training_seconds?": Number,
+        "provenance?": Mapping,
+        "within_pixels?": {"1": COUNTED, "2": COUNTED, "3": COUNTED},
+        "placed_once_grasped?": COUNTED,
+    }
+    | SEEDS
+)
 RECOGNITION = {
     "task": str,
     "num_demonstrations": int,
@@ -69,7 +73,9 @@ TRAINING = {"measured_updates": int, "updates": int, "task": str, "minutes_extra
 WHOLE, START_UP = {"whole_training": TRAINING}, {"start_up": {"import_s": Number, "import_all_s": Number, "help_s": Number}}
 AMOUNTS = {"*": Number}
 ROW = COUNTED | {"deviation_cm": Number, "seconds": Number, "iterations": Number, "gained?": int, "lost?": int, "p?": Number}
-ABLATION = {"task": str, "num_demonstrations": int, "loop": str, "rows": {"*": ROW}, "paper?": PAPER}
+SIGN_TEST = {"gained", "lost", "p"}
+"""Entries of a row that mean something together only."""
+ABLATION = {"task": str, "num_demonstrations": int, "loop": str, "rows": {"*": ROW}, "paper?": PAPER} | SEEDS
 REFUSED = {"refused": int, "goals": int, "interval": Pair}
 TRUST = {
     "model": str,
@@ -113,7 +119,7 @@ def read_result(file: Path) -> dict[str, Any]:
         if not isinstance(content, dict):
             raise ValueError(f"it holds {kind_of(content)}, not names with values")
         if place := non_finite_in(content):
-            raise ValueError(f"{place}, which is not finite")
+            raise ValueError(f"{place}, which nothing can be computed with")
         found = {"preset": "full"} | without_nothing(content) | {"file": file.name}
         baselines = found.get("baselines")
         if isinstance(baselines, dict) and "recalled_joints" in baselines:  # as results before there were presets call it
@@ -176,6 +182,9 @@ def odd_in(found: Mapping[str, Any]) -> str | None:
         return f"goals is {found['goals']}"
     if is_evaluation(found) and found["task"] == "move-object" and "within_pixels" not in found:
         return "it has no within_pixels"
+    for name, row in found["rows"].items() if found.get("kind") == "ablation" else ():
+        if SIGN_TEST & row.keys() and not row.keys() >= SIGN_TEST:
+            return f"{name} has some of {', '.join(sorted(SIGN_TEST))}, and not all"
     if "neighbours" in found and not all(found["error"][name] for name in ("training", "novel")):
         return "error is of no sequence"
     if "map" in found and not all(0 < len(found["map"][name]) == len(found["goals_m"][name]) for name in ("training", "novel")):

@@ -6,7 +6,7 @@
 ...     _ = path.write_text('{"elbow": {"upper": 1e999}}')
 ...     read_json(path)
 Traceback (most recent call last):
-ValueError: elbow: upper is inf, which is not finite
+ValueError: elbow: upper is inf, which nothing can be computed with
 """
 
 import json
@@ -21,6 +21,8 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.lib import format as npy
+
+from preimage.data.files import HALF, loads
 
 Record = TypeVar("Record")
 
@@ -44,7 +46,7 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"it holds {kind_of(content)}, not names with values")
     if place := non_finite_in(content):
-        raise ValueError(f"{place}, which is not finite")
+        raise ValueError(f"{place}, which nothing can be computed with")
     return content
 
 
@@ -59,11 +61,13 @@ def parse_json(path: Path) -> Any:
     try:
         if path.stat().st_size > LONGEST_JSON:
             raise ValueError
-        return json.loads(path.read_bytes().decode("utf-8-sig"))
+        return loads(path.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise ValueError(f"it cannot be opened: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise ValueError("it is no text in UTF-8") from error
+    except UnicodeEncodeError as error:
+        raise ValueError(f"it {HALF}") from error
     except json.JSONDecodeError as error:
         raise ValueError(f"it is no JSON from line {error.lineno}, column {error.colno} on") from error
     except (RecursionError, ValueError) as error:  # lists in lists in lists; a number of thousands of digits
