@@ -57,6 +57,14 @@ def test_evidence_of_what_cannot_be_refuses_and_says_nothing_of_how_likely() -> 
     assert not known.is_refused({"error": 0.0, "thing": 0.0})
 
 
+def test_evidence_of_how_likely_alone_refuses_nothing() -> None:
+    evidence = [{"error": float(number), "start": float(number % 7)} for number in range(30)]
+    reached = [number < 15 for number in range(30)]
+    known = Calibration.of(evidence, reached, possible=reached, likely_only=["start"])
+    assert not known.is_refused({"error": 0.0, "start": 1e3})
+    assert known.limit == Calibration.of([{"error": each["error"]} for each in evidence], reached, possible=reached).limit
+
+
 def test_evidence_that_would_speak_for_a_plan_gets_no_weight() -> None:
     rng = np.random.default_rng(2)
     rows = rng.normal(size=(500, 2))

@@ -64,6 +64,8 @@ class Calibration:
     num_reached: int
     plan: Options = field(default_factory=dict)
     """The options of the plans: it holds for no others."""
+    likely_only: tuple[str, ...] = ()
+    """Evidence that says how likely a plan is to succeed, and refuses no goal."""
 
     def __post_init__(self) -> None:
         """Raises ValueError where what is kept does not fit together."""
@@ -83,6 +85,7 @@ class Calibration:
         *,
         possible: Sequence[bool],
         refusing: Collection[str] = (),
+        likely_only: Collection[str] = (),
         plan: Options | None = None,
     ) -> Self:
         """Learn from what became of goals.
@@ -92,6 +95,7 @@ class Calibration:
             reached: whether its plan succeeded.
             possible: whether it is one of those goals that are not to be refused: drawn as the demonstrations were, and reached.
             refusing: names of evidence that says what cannot be, and nothing of how likely is what can: it counts for refusals alone.
+            likely_only: names of evidence that counts for the probability alone.
 
         Raises:
             ValueError: there are too few possible goals that were reached, or names differ.
@@ -110,10 +114,11 @@ class Calibration:
         telling = np.array([name not in refusing for name in names])
         weights = np.zeros(len(names))
         bias, weights[telling] = fit_logistic(np.clip(scaled[:, telling], *FARTHEST), np.array(reached, bool))
-        limit, num_stranger = limit_of(strangeness_of(scaled[known]))
+        strange = np.array([name not in likely_only for name in names])
+        limit, num_stranger = limit_of(strangeness_of(scaled[np.ix_(known, strange)]))
         return cls(
             names, tuple(usual.tolist()), tuple(spread.tolist()), tuple(rounded(weights).tolist()), round(bias, 6), limit,
-            int(known.sum()), num_stranger, len(rows), int(np.sum(reached)), dict(plan or {}),
+            int(known.sum()), num_stranger, len(rows), int(np.sum(reached)), dict(plan or {}), tuple(likely_only),
         )  # fmt: skip
 
     def scaled(self, evidence: Evidence) -> Float[np.ndarray, " E"]:
@@ -127,7 +132,8 @@ class Calibration:
 
     def strangeness(self, evidence: Evidence) -> float:
         """How far evidence is beyond its usual spread, in spreads, all of it together."""
-        return float(strangeness_of(self.scaled(evidence)[None])[0])
+        strange = [name not in self.likely_only for name in self.names]
+        return float(strangeness_of(self.scaled(evidence)[None, strange])[0])
 
     def is_refused(self, evidence: Evidence) -> bool:
         """Whether a goal is stranger than the limit."""

@@ -54,6 +54,8 @@ REASONS = {
 """The evidence by name, and what it says in words where there is much of it."""
 REFUSING = "goal_part", "in_the_open"
 """Evidence of what cannot be. A hand between demonstrated hands is strange by it too, and reached, so it says nothing of how likely."""
+LIKELY_ONLY = ("start_uncertainty",)
+"""Evidence that refuses nothing: a start is what it is, and a few strange ones among those that are reached would let all goals pass."""
 PLACE = 1 / 16
 """Side of the place that is imagined worst, in heights of a frame: about a hand, or a thing on the table."""
 UNLIKELY = 0.5
@@ -97,6 +99,7 @@ class Assessment:
     calibration: Calibration | None = None
     otherwise: bool = False
     refusing: ClassVar = REFUSING
+    likely_only: ClassVar = LIKELY_ONLY
 
     def __call__(self, plan: Plan) -> Trust:
         evidence = self.evidence(plan)
@@ -115,7 +118,7 @@ class Assessment:
     def reasons(self, evidence: Mapping[str, float], known: Calibration) -> tuple[str, ...]:
         """Of a plan that is refused what is strange, the strangest first; of an unlikely one that is not refused, what makes it so."""
         scaled = dict(zip(known.names, known.scaled(evidence), strict=True))
-        strangest = sorted(scaled, key=lambda name: -scaled[name])
+        strangest = sorted(set(scaled) - set(known.likely_only), key=lambda name: -scaled[name])
         strange = [name for name in strangest if scaled[name] > STRANGE] or strangest[:1] if known.is_refused(evidence) else []
         if not strange and known.probability(evidence) < UNLIKELY:
             strange = [known.names[int(np.argmax(known.weights * known.scaled(evidence)))]]
