@@ -319,7 +319,7 @@ def test_calibrate_leaves_a_calibration_that_plans_speak_by(run_folder: Path, tm
     shutil.copytree(run_folder, tmp_path / "run")
     search = ["--iterations", "1", "--horizon", "4"]
     main(["calibrate", str(tmp_path / "run"), "--goals", "12", *search])
-    assert "calibrated by 21 goals" in capsys.readouterr().out
+    assert "calibrated by 27 goals" in capsys.readouterr().out
     assert (tmp_path / "run" / CALIBRATION).is_file()
     main(["evaluate", str(tmp_path / "run"), "--impossible", "--goals", "10", "--out", str(tmp_path / "trust.json"), *search])
     assert len(json.loads((tmp_path / "trust.json").read_text())["rows"]) == 10 + 7 + 12
