@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from planar_arm import checked, recorded, write_v2
+from preimage.data.attitudes import followed
 from preimage.data.dataset import open_recordings
-from preimage.data.quaternions import find_quaternions, on_one_side
+from preimage.data.quaternions import find_quaternions
 from preimage.data.view import read_through
 from preimage.examination import Kind
 
@@ -36,7 +37,7 @@ def test_what_is_read_does_not_depend_on_the_signs_that_were_recorded(names, ste
     (found,) = find_quaternions(readings, names)
     assert (found.columns, found.episodes) == (names[1:], (1, 4))
     for reading, way in zip(readings, ways, strict=True):
-        np.testing.assert_array_equal(on_one_side(reading, names, [found]), way)
+        np.testing.assert_array_equal(followed(reading, names, [found]), way)
 
 
 def test_what_is_no_quaternion_stays_as_it_is():
@@ -57,7 +58,7 @@ def test_a_turn_about_one_axis_is_a_quaternion_where_its_signs_flip():
     angle, zero = np.linspace(0.2, 0.9, 30), np.zeros(30)
     way = np.stack([zero, np.sin(angle), zero, zero, np.cos(angle)], 1)
     (found,) = find_quaternions([way, flipped(way, slice(9, None))], "abcde")
-    np.testing.assert_array_equal(on_one_side(flipped(way, slice(9, None)), "abcde", [found]), way)
+    np.testing.assert_array_equal(followed(flipped(way, slice(9, None)), "abcde", [found]), way)
     snaps = np.stack([np.where(angle > 0.5, 1.0, -1.0), zero, zero, zero], 1)
     assert not find_quaternions([way[:, 1:]] * 2, "abcd")
     assert not find_quaternions([snaps] * 2, "abcd")

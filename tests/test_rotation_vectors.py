@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from planar_arm import checked, recorded, write_v2
+from preimage.data.attitudes import followed
 from preimage.data.dataset import open_recordings
-from preimage.data.rotation_vectors import find_rotation_vectors, followed
+from preimage.data.rotation_vectors import find_rotation_vectors
 from preimage.data.view import read_through
 from preimage.examination import Kind
 

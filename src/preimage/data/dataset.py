@@ -25,6 +25,7 @@ import numpy as np
 
 from preimage.data import lerobot_reader, plain_folder
 from preimage.data.angles import Wrap
+from preimage.data.attitudes import is_followed
 from preimage.data.clocks import is_clock
 from preimage.data.files import leave_out
 from preimage.data.lerobot_info import EXTRAS, INFO
@@ -34,7 +35,6 @@ from preimage.data.view import (
     Eye,
     View,
     attitudes_of,
-    is_made_continuous,
     made_continuous,
     moving,
     read_through,
@@ -147,7 +147,7 @@ def open_recordings(
     tasks = {episode.task for episode in episodes}
     lines = [*_summary(demonstrations, numbers, description, resolved, chosen=view.joints is not None, empty=empty)]
     lines += [reads_past(wrap, len(numbers)) for wrap in kept if wrap.episodes]
-    lines += [is_made_continuous(each, len(numbers)) for each in attitudes if each.episodes]
+    lines += [is_followed(each, len(numbers)) for each in attitudes if each.episodes]
     return Opened(demonstrations, numbers, resolved, body, tasks.pop() if len(tasks) == 1 else None, tuple(lines))
 
 

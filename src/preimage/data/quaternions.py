@@ -8,19 +8,19 @@ first. All episodes begin on one side, that of a pole, and each reading is on th
 >>> flipped = np.where(np.arange(13)[:, None] < 6, way, -way)
 >>> names = ("qx", "qy", "qz", "qw")
 >>> (found,) = find_quaternions([way, flipped, way], names)
->>> found.episodes, bool(np.allclose(on_one_side(flipped, names, [found]), way))
+>>> found.episodes, bool(np.allclose(found.follow(flipped), way))
 ((1,), True)
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
 from preimage.data.angles import by_number
 from preimage.data.clocks import words_of
-from preimage.records import listed, number_of
 
 NUM_PARTS = 4
 OFF_ONE = 0.01
@@ -37,13 +37,19 @@ WORDS = ("quat", "rot", "orientation", "attitude")
 
 @dataclass(frozen=True)
 class Quaternion:
-    """Four columns that are one."""
+    """Four columns that are one (`data.attitudes`)."""
 
+    LEAPS: ClassVar[str] = "a quaternion, which changes its sign without turning"
+    FOLLOWED: ClassVar[str] = "it is kept on one side"
     columns: tuple[str, ...]
     pole: tuple[float, ...]
     """The first reading of an episode is taken on the side of this one, in the same order."""
     episodes: tuple[int, ...] = field(default=(), compare=False)
     """Those in which a sign is changed by it."""
+
+    def follow(self, readings: Float[np.ndarray, "T 4"]) -> Float[np.ndarray, "T 4"]:
+        """The readings, each with the sign by which it is on the side of the one before."""
+        return readings * _signs(readings, np.array(self.pole))[:, None]
 
 
 def find_quaternions(
@@ -67,22 +73,6 @@ def find_quaternions(
             begin += NUM_PARTS - 1
         begin += 1
     return found
-
-
-def on_one_side(joints: Float[np.ndarray, "T J"], names: Sequence[str], quaternions: Sequence[Quaternion]) -> Float[np.ndarray, "T J"]:
-    """The joints of an episode, or of one step, with the signs of the quaternions that are whole among them."""
-    joints = joints.copy() if quaternions else joints
-    for each in quaternions:
-        if len(joints) and set(each.columns) <= set(names):
-            columns = [list(names).index(name) for name in each.columns]
-            joints[:, columns] *= _signs(joints[:, columns], np.array(each.pole))[:, None]
-    return joints
-
-
-def changes_its_sign(quaternion: Quaternion, num_episodes: int) -> str:
-    """A sentence on a quaternion whose signs were changed."""
-    count = f"{len(quaternion.episodes)} of {number_of(num_episodes, 'episode')} ({listed(quaternion.episodes)})"
-    return f"{', '.join(quaternion.columns)} are a quaternion, which changes its sign without turning, in {count}: it is kept on one side"
 
 
 def _is_quaternion(recordings: Sequence[Float[np.ndarray, "_T 4"]], names: Sequence[str]) -> bool:

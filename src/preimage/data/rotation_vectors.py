@@ -7,19 +7,19 @@ turn. Each reading is taken as the equal one that is nearest to the one before, 
 >>> leapt = np.where(np.linalg.norm(turned, axis=1, keepdims=True) > np.pi, turned - 2 * np.pi * np.array([[0.8, 0.6, 0.0]]), turned)
 >>> names = ("rx", "ry", "rz")
 >>> (found,) = find_rotation_vectors([leapt, turned[:4]], names)
->>> found.episodes, bool(np.allclose(followed(leapt, names, [found]), turned))
+>>> found.episodes, bool(np.allclose(found.follow(leapt), turned))
 ((0,), True)
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from preimage.data.angles import LEAST_RESIDUAL, by_number
 from preimage.data.clocks import words_of
-from preimage.records import listed, number_of
 
 NUM_PARTS = 3
 TURNS = 2 * np.pi, 360.0
@@ -39,8 +39,10 @@ Vector = Float[np.ndarray, "3"]
 
 @dataclass(frozen=True)
 class RotationVector:
-    """Three columns that are one."""
+    """Three columns that are one (`data.attitudes`)."""
 
+    LEAPS: ClassVar[str] = "a rotation vector, which leaps near half a turn without turning"
+    FOLLOWED: ClassVar[str] = "it is followed"
     columns: tuple[str, ...]
     turn: float
     """A full turn in its unit."""
@@ -48,6 +50,10 @@ class RotationVector:
     """The first reading of an episode is taken as the equal one that is nearest to this one."""
     episodes: tuple[int, ...] = field(default=(), compare=False)
     """Those in which a reading is changed by it."""
+
+    def follow(self, readings: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+        """The readings, each as the equal one that is nearest to the one before."""
+        return _follow(readings, self.turn, np.array(self.pole))
 
 
 def find_rotation_vectors(
@@ -67,22 +73,6 @@ def find_rotation_vectors(
         changed = [number for number, each in readings.items() if not np.array_equal(_follow(each, turn, pole), each)]
         found.append(RotationVector(tuple(names[columns]), turn, tuple(pole.tolist()), tuple(changed)))
     return found
-
-
-def followed(joints: Float[np.ndarray, "T J"], names: Sequence[str], rotations: Sequence[RotationVector]) -> Float[np.ndarray, "T J"]:
-    """The joints of an episode, or of one step, with the rotation vectors that are whole among them followed."""
-    joints = joints.copy() if rotations else joints
-    for each in rotations:
-        if len(joints) and set(each.columns) <= set(names):
-            columns = [list(names).index(name) for name in each.columns]
-            joints[:, columns] = _follow(joints[:, columns], each.turn, np.array(each.pole))
-    return joints
-
-
-def leaps_over(rotation: RotationVector, num_episodes: int) -> str:
-    """A sentence on a rotation vector of which readings were changed."""
-    count = f"{len(rotation.episodes)} of {number_of(num_episodes, 'episode')} ({listed(rotation.episodes)})"
-    return f"{', '.join(rotation.columns)} are a rotation vector, which leaps near half a turn without turning, in {count}: it is followed"
 
 
 def _places(recordings: Sequence[Float[np.ndarray, "_T J"]], names: Sequence[str]) -> list[tuple[int, float]]:
@@ -107,7 +97,7 @@ def _left_around(recordings: Sequence[Float[np.ndarray, "_T J"]], begin: int, tu
     left = []
     for joints in recordings:
         near = joints[:, around]
-        for step in np.flatnonzero(np.linalg.norm(np.diff(near[:, columns], axis=0), axis=1) > turn / 2):
+        for step in _leaping_steps(near[:, columns], turn):
             before, after = near[step], near[step + 1].copy()
             after[columns] = _nearest(after[columns], before[columns], turn)
             left.append(float(np.linalg.norm(after - before)))
@@ -137,8 +127,13 @@ def _leaps(readings: Sequence[Float[np.ndarray, "_T 3"]], turn: float, names: Se
 
 def _far_apart(readings: Sequence[Float[np.ndarray, "_T 3"]], turn: float) -> Iterator[tuple[Vector, Vector]]:
     for each in readings:
-        for step in np.flatnonzero(np.linalg.norm(np.diff(each, axis=0), axis=1) > turn / 2):
+        for step in _leaping_steps(each, turn):
             yield each[step], each[step + 1]
+
+
+def _leaping_steps(readings: Float[np.ndarray, "T 3"], turn: float) -> Int[np.ndarray, " _"]:
+    """The steps from which it is more than half a turn to the next."""
+    return np.flatnonzero(np.linalg.norm(np.diff(readings, axis=0), axis=1) > turn / 2)
 
 
 def _starts_on_both_sides(readings: Sequence[Float[np.ndarray, "_T 3"]], turn: float) -> bool:

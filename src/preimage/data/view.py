@@ -29,9 +29,10 @@ from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
 from preimage.data.angles import Wrap, find_wraps, unwrapped
-from preimage.data.quaternions import NUM_PARTS, Quaternion, changes_its_sign, find_quaternions, on_one_side
+from preimage.data.attitudes import followed
+from preimage.data.quaternions import NUM_PARTS, Quaternion, find_quaternions
 from preimage.data.rotation_vectors import NUM_PARTS as NUM_OF_VECTOR
-from preimage.data.rotation_vectors import RotationVector, find_rotation_vectors, followed, leaps_over
+from preimage.data.rotation_vectors import RotationVector, find_rotation_vectors
 from preimage.network.config import Sensors
 
 LADDER = 16
@@ -132,25 +133,16 @@ def made_continuous(
 ) -> tuple[list[Float[np.ndarray, "_T J"]], list[Quaternion | RotationVector], list[Wrap]]:
     """The joints of all episodes, quaternions on one side, rotation vectors followed, angles unwrapped, and what was found of these."""
     quaternions = find_quaternions(recordings, names, episodes=episodes)
-    recordings = [on_one_side(joints, names, quaternions) for joints in recordings]
+    recordings = [followed(joints, names, quaternions) for joints in recordings]
     rotations = find_rotation_vectors(recordings, names, episodes=episodes)
     recordings = [followed(joints, names, rotations) for joints in recordings]
     wraps = find_wraps(recordings, names, episodes=episodes)
     return [unwrapped(joints, names, wraps) for joints in recordings], [*quaternions, *rotations], wraps
 
 
-def is_made_continuous(attitude: Quaternion | RotationVector, num_episodes: int) -> str:
-    """A sentence on an attitude of which readings were changed."""
-    say = changes_its_sign if isinstance(attitude, Quaternion) else leaps_over
-    return say(attitude, num_episodes)  # pyright: ignore[reportArgumentType]
-
-
 def read_through(view: View, joints: Float[np.ndarray, "T J"], names: Sequence[str]) -> Float[np.ndarray, "T J"]:
     """The joints of an episode, or of one step, as a resolved view reads them."""
-    attitudes = attitudes_of(view)
-    joints = on_one_side(joints, names, [each for each in attitudes if isinstance(each, Quaternion)])
-    joints = followed(joints, names, [each for each in attitudes if isinstance(each, RotationVector)])
-    return unwrapped(joints, names, wraps_of(view))
+    return unwrapped(followed(joints, names, attitudes_of(view)), names, wraps_of(view))
 
 
 def default_size(height: int, width: int) -> tuple[int, int]:

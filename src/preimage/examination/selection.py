@@ -3,11 +3,12 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from preimage.data.attitudes import is_followed
 from preimage.data.clocks import is_clock
 from preimage.data.dataset import cannot_unwrap, reads_past
 from preimage.data.quaternions import Quaternion
 from preimage.data.questions import questions_about
-from preimage.data.view import is_made_continuous, made_continuous, moving
+from preimage.data.view import made_continuous, moving
 from preimage.examination.findings import Finding, Kind, Severity, in_episodes, of_joints
 from preimage.examination.seen import Seen
 from preimage.records import listed, number_of
@@ -40,7 +41,7 @@ def unwrap(seen: Sequence[Seen], *, chosen: bool) -> tuple[list[Seen], list[Find
     joints, attitudes, wraps = made_continuous([one.joints for one in seen], names, episodes=[one.index for one in seen])
     for each in (each for each in attitudes if each.episodes):
         kind = Kind.SIGN if isinstance(each, Quaternion) else Kind.LEAPS
-        what = f"{is_made_continuous(each, len(seen))}, in training too"
+        what = f"{is_followed(each, len(seen))}, in training too"
         findings.append(Finding(kind, Severity.NOTE, what, episodes=each.episodes, joints=each.columns))
     learned = {name for name, moves in zip(names, moving(joints, names), strict=True) if chosen or (moves and not is_clock(name))}
     for wrap in (wrap for wrap in wraps if wrap.joint in learned):
