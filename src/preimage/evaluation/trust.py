@@ -147,8 +147,8 @@ def calibration_of(assessed: Sequence[Assessed], planner: Planner) -> Calibratio
     reached, area = [one.reached for one in assessed], [one.kind == AREA for one in assessed]
     not_missed = [one.kind == AREA and one.reached for one in assessed]
     possible = not_missed if 2 * sum(not_missed) >= sum(area) else area
-    kinds = {"refusing": planner.assessment.refusing, "likely_only": planner.assessment.likely_only}
-    return Calibration.of(evidence, reached, possible=possible, plan=planner.options.calibrated_with(), **kinds)
+    made_with, ways = planner.options.calibrated_with(), planner.assessment
+    return Calibration.of(evidence, reached, possible=possible, refusing=ways.refusing, likely_only=ways.likely_only, plan=made_with)
 
 
 def examine(

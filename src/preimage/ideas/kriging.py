@@ -36,6 +36,14 @@ class Kernel:
     inverse: Float[Tensor, "M M"]
     """Of the kernel between all endings, with its noise and its border (`bordered`)."""
 
+    def towards(self, distances: Float[Tensor, " N"]) -> Float[Tensor, " M"]:
+        """How alike the endings are to what is so far from them (squared), with the border."""
+        return torch.cat([1 / (1 + distances / self.length), torch.ones(1).double()])
+
+    def variance(self, towards: Float[Tensor, " M"]) -> Float[Tensor, ""]:
+        """Of a prediction for what the endings are so alike to."""
+        return 1 + self.noise - towards @ self.inverse @ towards
+
 
 @dataclass(frozen=True, eq=False)
 class Endings:
@@ -121,12 +129,11 @@ def fits(
     targets = torch.cat([known, known.new_zeros(1, known.shape[1])])
     ways = torch.cdist(asked, endings.points)[0].square()
     for kernel in kernels or endings.kernels:
-        towards = torch.cat([1 / (1 + ways / kernel.length), torch.ones(1).double()])
+        towards = kernel.towards(ways)
         weights = kernel.inverse @ targets  # of the endings, and the mean
         variances = 1 / kernel.inverse.diagonal()[:-1, None]  # of each ending, the others known
         residuals = variances * weights[:-1]
-        variance = 1 + kernel.noise - towards @ kernel.inverse @ towards
-        deviation = (variance * (residuals.square() / variances).mean(0)).clamp(min=0).sqrt()
+        deviation = (kernel.variance(towards) * (residuals.square() / variances).mean(0)).clamp(min=0).sqrt()
         residual = float(residuals.square().mean(0).clamp(min=1e-12).log().sum())
         yield Fit(kernel, Prediction(towards @ weights, deviation), residual)
 

@@ -207,15 +207,18 @@ class Demonstrated:
             arrival: what is imagined where the plan arrives.
         """
         came = arrived(start, goal, self.background).flatten()
+        apart_from = (self.arrivals - came).square().sum(1)
+        towards = self.kernel.towards(apart_from)
+        weights = towards @ self.kernel.inverse
+        alike = apart_from.argsort()[:NEIGHBOURS]
         standing = apart(start - self.first_background).flatten()
-        weights, variance = blended(self.kernel, self.arrivals, came)
-        alike = (self.arrivals - came).square().sum(1).argsort()[:NEIGHBOURS]
+        from_starts = self.start_kernel.towards((self.starts.points - standing).square().sum(1))
         seen, imagined_end = in_few_rows(torch.stack([goal, arrival]))
         most_alike = self.final_pictures[(self.final_pictures - seen).square().sum((1, 2, 3)).argsort()[:MOST_ALIKE]]
         begun, final = self.shares(plan.start.joints), self.shares(plan.joints[plan.arrival_step])
         found = {
             "goal_blend": log((weights @ padded(self.arrivals) - came).norm() / self.blend_error),
-            "uncertainty": log(variance, 1e-8),
+            "uncertainty": log(self.kernel.variance(towards), 1e-8),
             "ambiguity": log(self.joint_errors[alike].square().mean().sqrt(), FINEST_JOINT),
             "goal_part": log(unseen_part(seen, torch.cat([imagined_end[None], most_alike])), FINEST_PART),
             "in_the_open": log(thing_in_the_open(seen, imagined_end, in_few_rows(self.background)), FINEST_THING),
@@ -223,7 +226,7 @@ class Demonstrated:
             "final_joints": log(nearest(final, self.final_joints), FINEST_JOINT),
             "start_joints": log(nearest(begun, self.first_joints), FINEST_JOINT),
             "start_picture": log(nearest(standing, self.starts.points), 1e-3),
-            "start_uncertainty": log(blended(self.start_kernel, self.starts.points, standing)[1], 1e-8),
+            "start_uncertainty": log(self.start_kernel.variance(from_starts), 1e-8),
             "little_change": -log(came.norm() / self.arrivals.norm(dim=1).median(), 1e-3),
         }
         if plan.imagined_joints is not None:
@@ -249,13 +252,6 @@ def worst_place(difference: Float[Tensor, "C H W"]) -> Float[Tensor, ""]:
     """The largest mean square of a difference over a place of the picture."""
     side = max(1, int(PLACE * difference.shape[1]))
     return torch.nn.functional.avg_pool2d(difference.square().mean(0)[None, None], side, max(1, side // 2)).max()
-
-
-def blended(kernel: Kernel, known: Float[Tensor, "N V"], wanted: Float[Tensor, " V"]) -> tuple[Float[Tensor, " M"], Float[Tensor, ""]]:
-    """The weights by which kriging blends what is known to what is wanted, and the variance of that."""
-    towards = torch.cat([1 / (1 + (known - wanted).square().sum(1) / kernel.length), torch.ones(1).double()])
-    weights = towards @ kernel.inverse
-    return weights, 1 + kernel.noise - weights @ towards
 
 
 def nearest(wanted: Tensor, known: Float[Tensor, "N V"]) -> Float[Tensor, ""]:
