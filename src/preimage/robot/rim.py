@@ -73,7 +73,6 @@ def end_of(task: Task, scene: Scene) -> tuple[Float[np.ndarray, " J"], dict[str,
 
 def sense_ends(arm: Arm, task: Task, scene: Scene) -> tuple[Percept, Percept]:
     """What is sensed before a scene is solved and after: the arm is put there, no way leads through."""
-    arm.set_up(task.workspace)
     task.lay_out(arm, scene)
     return arm.sense(), sense_end(arm, task, scene)
 

@@ -150,18 +150,17 @@ class Table:
 
     def _sensed_at(self, beginning: Beginning) -> Percept:
         with self._lock:
-            self._put(beginning)
+            self._lay_out(beginning)
             return self._arm.sense()
 
     def _large_at(self, beginning: Beginning) -> UInt8[np.ndarray, "H W 1"]:
         with self._lock:
-            self._put(beginning)
+            self._lay_out(beginning)
             return self._arm.seen_by(self.large_camera)
 
-    def _put(self, beginning: Beginning) -> None:
+    def _lay_out(self, beginning: Beginning) -> None:
         joints, positions_m = beginning
-        self._arm.set_up(self.task.workspace)
-        self._arm.reset(joints, dict(positions_m))
+        self.task.lay_out(self._arm, Scene(self.task.name, joints, dict(positions_m)))
 
     @property
     def _apart_m(self) -> float:
