@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 
 from preimage.fast.convolution import OPTIONS
-from preimage.fast.simd import VECTOR_SIZE, broadcast, horizontal_sum, load, multiply_add, store
+from preimage.fast.simd import VECTOR_SIZE, broadcast, broadcast_at, horizontal_sum, load, multiply_add, store
 
 ROWS = 4
 """Rows of a matrix that are read side by side."""
@@ -113,8 +113,8 @@ def add_rows(weights, a, b, c, d, gradients, first, width, sums, row, length):
 
 @njit(**OPTIONS)
 def five_of(numbers, p):
-    first = broadcast(numbers[p]), broadcast(numbers[p + 1]), broadcast(numbers[p + 2])
-    return *first, broadcast(numbers[p + 3]), broadcast(numbers[p + 4])
+    first = broadcast_at(numbers, p), broadcast_at(numbers, p + 1), broadcast_at(numbers, p + 2)
+    return *first, broadcast_at(numbers, p + 3), broadcast_at(numbers, p + 4)
 
 
 @njit(**OPTIONS)

@@ -83,6 +83,7 @@ def store(_: Any, numbers: types.Array, first: types.Integer, vector: Vector) ->
 
 
 def repeated(builder: Any, number: Any, vector: ir.VectorType) -> Any:
+    """LLVM's code for a vector of one number."""
     nothing = ir.Constant(vector, ir.Undefined)
     one = builder.insert_element(nothing, number, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(one, nothing, ir.Constant(ir.VectorType(ir.IntType(32), VECTOR_SIZE), None))
