@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from preimage.data.dataset import several_each
+from preimage.data.summary import several_each
 from preimage.examination.findings import Finding, Kind, Severity, at_places, episodes_of, in_episodes, leaving_out
 from preimage.examination.seen import Seen
 from preimage.records import number_of

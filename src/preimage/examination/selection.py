@@ -5,9 +5,9 @@ from dataclasses import replace
 
 from preimage.data.attitudes import is_followed
 from preimage.data.clocks import is_clock
-from preimage.data.dataset import cannot_unwrap, reads_past
 from preimage.data.quaternions import Quaternion
 from preimage.data.questions import questions_about
+from preimage.data.summary import cannot_unwrap, reads_past
 from preimage.data.view import made_continuous, moving
 from preimage.examination.findings import Finding, Kind, Severity, in_episodes, of_joints
 from preimage.examination.seen import Seen
