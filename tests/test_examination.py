@@ -14,7 +14,7 @@ from preimage.examination import Examination, Kind, Severity, examine
 from preimage.examination.timing import BLUNT_S
 from preimage.examination.viewpoint import find_shift
 from preimage.records import Description, Episode
-from preimage.report import examined_page
+from preimage.report.examined import examined_page
 from recordings import CAMERA, write_v21
 
 NUM_EPISODES, RATE_HZ, NAMES = 20, 10.0, ("yaw", "shoulder", "gripper")

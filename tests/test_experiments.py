@@ -16,7 +16,7 @@ from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.presets import SIZES, Preset, TrainOptions
 from preimage.records import Demonstration
-from preimage.report import fill_readme, write_results
+from preimage.report.results import fill_readme, write_results
 from preimage.robot import TASKS
 
 FORKS = multiprocessing.get_context("forkserver")

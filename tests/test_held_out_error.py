@@ -10,7 +10,7 @@ from PIL import Image
 from preimage.ideas.held_out_error import MOST_EPISODES, held_out_error
 from preimage.network.config import ModelConfig
 from preimage.presets import TrainOptions, train
-from preimage.report import learning_curve
+from preimage.report.figures import learning_curve
 from preimage.storage.run_files import HELD_OUT
 from test_train import demonstrations, weights
 

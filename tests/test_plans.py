@@ -13,7 +13,8 @@ import pytest
 from preimage.cli.acting import sentences_of
 from preimage.data.dataset import load
 from preimage.records import Percept, Plan, Scene, Stopped
-from preimage.report import figure, figures
+from preimage.report import figures
+from preimage.report.figures import figure
 from preimage.storage.plans import load_plan, save_episode, save_plan
 
 SCENE = Scene("reach", (0.1, -0.2), {"goal": (0.5, 0.25, 0.03)})

@@ -13,9 +13,10 @@ from PIL import Image
 
 import preimage.report
 from preimage.records import Percept, Plan, Scene, Stopped, Trial
-from preimage.report import Case, figure, film, learning_curve, page
 from preimage.report.charts import GROWTH, growth_chart, intention_map
-from preimage.report.figures import DOTS_PER_INCH, WIDTH_INCHES
+from preimage.report.figures import DOTS_PER_INCH, WIDTH_INCHES, figure, learning_curve
+from preimage.report.films import film
+from preimage.report.pages import Case, page
 
 WHITE_AFTER = 255
 

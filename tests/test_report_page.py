@@ -4,7 +4,9 @@ import pytest
 
 from browsing import findings, sideways
 from preimage.cli import main
-from preimage.report import figure, film, page
+from preimage.report.figures import figure
+from preimage.report.films import film
+from preimage.report.pages import page
 from test_report import make_cases, make_plan, make_results, make_trial
 
 pytestmark = pytest.mark.slow

@@ -127,6 +127,12 @@ def test_a_missing_argument_is_told_without_what_the_work_needs(verb):
     assert not heavy_after(f"from preimage.cli import main; main(['{verb}', '--nonsense'])") & {"matplotlib", "mujoco", "pyarrow", "av"}
 
 
+def test_the_page_is_up_before_a_network_is_loaded():
+    pytest.importorskip("fastapi", reason="the extra `studio` is not installed")
+    page = "from preimage import cli; from preimage.studio import server; server.uvicorn.Server.run = server.warm_up = lambda *_: None"
+    assert heavy_after(f"{page}; cli.main(['studio', '--port', '0'])") == {"mujoco", "numpy", "pyarrow", "av", "tyro"}
+
+
 def test_how_the_work_is_done_is_said_apart_from_what_comes_of_it(capsys):
     remark("threads: 1 (2 cores, 2 other threads at work)")
     assert capsys.readouterr() == ("", "threads: 1 (2 cores, 2 other threads at work)\n")

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from browsing import findings, served, sideways, visit
-from preimage.report import film
+from preimage.report.films import film
 from preimage.report.result_files import is_evaluation, read_result
 from test_report import make_plan
 

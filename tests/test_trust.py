@@ -17,7 +17,7 @@ from preimage.ideas.waypoints import join, least_of
 from preimage.method.plan import plan as plan_by_the_method
 from preimage.presets import Planner, PlanOptions, load_calibration, load_planner
 from preimage.records import GoalRefused, Percept, Plan, Shown, Trust
-from preimage.report import write_results
+from preimage.report.results import write_results
 from preimage.robot import TASKS, Arm, Reach
 from preimage.robot.rim import RIM_M, beyond_area_m, end_of, sample_rim, sense_ends
 from preimage.storage.bundled import BUNDLED

@@ -27,7 +27,8 @@ if TYPE_CHECKING:  # a name is loaded when it is first asked for, and with it to
     from preimage.network.pdvmrnn import PDVMRNN
     from preimage.presets import Planner, PlanOptions, ReplanConfig, TrainOptions, load_memory, load_planner, remember, train
     from preimage.records import Demonstration, GoalRefused, Percept, Plan, Scene, Shown, Stopped, Trial, Trust
-    from preimage.report import figure, film
+    from preimage.report.figures import figure
+    from preimage.report.films import film
     from preimage.robot import TASKS, Arm, MoveObject, Reach, ReachTwo, record
     from preimage.robot.execution import execute, execute_open_loop
     from preimage.robot.protocol import Robot, drive
@@ -118,7 +119,8 @@ ROOMS = {
     "network.pdvmrnn": ("PDVMRNN",),
     "presets": ("Planner", "PlanOptions", "ReplanConfig", "TrainOptions", "load_memory", "load_planner", "remember", "train"),
     "records": ("Demonstration", "GoalRefused", "Percept", "Plan", "Scene", "Shown", "Stopped", "Trial", "Trust"),
-    "report": ("figure", "film"),
+    "report.figures": ("figure",),
+    "report.films": ("film",),
     "robot": ("TASKS", "Arm", "MoveObject", "Reach", "ReachTwo", "record"),
     "robot.execution": ("execute", "execute_open_loop"),
     "robot.protocol": ("Robot", "drive"),

@@ -99,7 +99,8 @@ def plan_(
     from preimage.data.sources import find_percept
     from preimage.data.view import read_through
     from preimage.ideas.waypoints import join
-    from preimage.report import figure, film
+    from preimage.report.figures import figure
+    from preimage.report.films import film
     from preimage.robot.limits import commands_of, limits_seen, read_limits
     from preimage.storage.plans import PLAN, save_episode, save_plan
     from preimage.storage.runs import find_run, read_body, read_shown, read_view
@@ -211,8 +212,7 @@ def execute_(
     import time
 
     from preimage.evaluation.trials import Circumstances, try_out
-    from preimage.report import film
-    from preimage.report.films import FILM_SUFFIXES
+    from preimage.report.films import FILM_SUFFIXES, film
     from preimage.robot import Arm, with_frames
     from preimage.robot.execution import execute, task_of
 

@@ -262,7 +262,7 @@ def report_(results: Path = Path("results"), out: Path = Path("docs/results.md")
         out: page to write.
         readme: file whose table stands between two marks; without marks it is left alone.
     """
-    from preimage.report import fill_readme, write_results
+    from preimage.report.results import fill_readme, write_results
 
     validate_output_file(out, "page of results", marks=(b"`preimage report`",))
     print(f"wrote {write_results(results, out)}")

@@ -63,7 +63,7 @@ def check(
     """
     from preimage.data.dataset import describe, episode_numbers, read_episodes, written_here
     from preimage.examination import examine
-    from preimage.report import examined_page
+    from preimage.report.examined import examined_page
 
     validate_output_file(out, **CHECK_PAGE)
     if not is_rate(rate_hz):

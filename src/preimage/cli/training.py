@@ -94,7 +94,7 @@ def train_(
     """
     from preimage.compute.precision import describe_precision
     from preimage.compute.processes import join_processes
-    from preimage.report import learning_curve
+    from preimage.report.figures import learning_curve
     from preimage.storage.checkpoints import goes_on
     from preimage.storage.provenance import provenance
     from preimage.storage.runs import read_settings, read_view, write_card

@@ -14,6 +14,8 @@ import numpy as np
 from preimage.network.config import Sensors
 from preimage.records import Percept
 
+LIMIT_MARGIN = 0.1
+"""The range of each joint's code is the range seen in the demonstrations, widened on either side by this share of it."""
 FULL_TURN_RAD = 2 * math.pi
 """No joint of an arm turns farther to either side without its cable breaking."""
 

@@ -15,11 +15,9 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
+from preimage.data.joint_range import LIMIT_MARGIN
 from preimage.network.config import Sensors
 from preimage.records import Demonstration
-
-LIMIT_MARGIN = 0.1
-"""The range of each joint's code is the range seen in the demonstrations, widened on either side by this share of it."""
 
 
 def at_rate(demonstration: Demonstration, rate_hz: float) -> Demonstration:

@@ -7,7 +7,9 @@ from pathlib import Path
 from preimage.evaluation.evaluate import Evaluated, evaluate, result_of
 from preimage.presets import PlanOptions, load_planner
 from preimage.records import number_of
-from preimage.report import Case, figure, film, page
+from preimage.report.figures import figure
+from preimage.report.films import film
+from preimage.report.pages import Case, page
 from preimage.robot import TASKS, Arm
 from preimage.storage.atomic_write import write_json
 from preimage.storage.runs import find_run, made_from, read_shown

@@ -27,7 +27,7 @@ from preimage.data.sequences import at_rate
 from preimage.evaluation.evaluate import goal_of, nearest_shown
 from preimage.presets import Planner, PlanOptions, load_planner
 from preimage.records import Demonstration, Plan, Shown, number_of
-from preimage.report import film
+from preimage.report.films import film
 from preimage.storage.atomic_write import write_json
 from preimage.storage.provenance import provenance
 from preimage.storage.runs import episodes_of, find_run, made_from, part_of, read_config, read_shown, read_view

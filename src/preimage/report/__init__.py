@@ -7,6 +7,8 @@ no model, no robot.
 >>> import tempfile
 >>> import numpy as np
 >>> from preimage.records import Percept, Plan, Stopped
+>>> from preimage.report.figures import figure
+>>> from preimage.report.films import film
 >>> frames, joints = np.zeros((5, 8, 8, 1), np.uint8), np.zeros((5, 2))
 >>> start, goal = Percept(frames[0], joints[0]), Percept(frame=frames[3])
 >>> errors = np.array([2.0, 1.0])
@@ -15,11 +17,3 @@ no model, no robot.
 ...     film(plan, None, f"{folder}/reach.gif").name, figure(plan, None, f"{folder}/reach.png").name
 ('reach.gif', 'reach.png')
 """
-
-from preimage.report.examined import examined_page
-from preimage.report.figures import figure, learning_curve
-from preimage.report.films import film
-from preimage.report.pages import Case, page
-from preimage.report.results import fill_readme, write_results
-
-__all__ = ["Case", "examined_page", "figure", "fill_readme", "film", "learning_curve", "page", "write_results"]

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from preimage.data.joint_range import FULL_TURN_RAD
-from preimage.data.sequences import LIMIT_MARGIN
+from preimage.data.joint_range import FULL_TURN_RAD, LIMIT_MARGIN
 from preimage.network.config import Sensors
 from preimage.records import Plan, Shown, number_of
 from preimage.storage.reading import LARGEST_NUMBER, parse_json

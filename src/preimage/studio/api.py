@@ -2,10 +2,10 @@
 
 import json
 from collections.abc import AsyncIterator
-from functools import partial
+from functools import cached_property, partial
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 from urllib.parse import unquote
 
 from fastapi import APIRouter, Body, Header, Query, Request, Response
@@ -14,9 +14,7 @@ from fastapi.responses import PlainTextResponse, StreamingResponse
 from preimage.studio import planning
 from preimage.studio.asked import FrameOf, Now, Pace, Place, Point, Touched, Wanted
 from preimage.studio.closed import MOST_UPLOADED
-from preimage.studio.eyes_open import Walk
 from preimage.studio.goals import MOST_SEEDS, Goal, Goals
-from preimage.studio.intentions import Intentions
 from preimage.studio.jobs import Job, Jobs
 from preimage.studio.opened import OpenedRun
 from preimage.studio.planning import Planned
@@ -26,6 +24,9 @@ from preimage.studio.results import Results
 from preimage.studio.touches import Touches
 from preimage.studio.training_routes import add_trainings
 from preimage.studio.trainings import Trainings
+
+if TYPE_CHECKING:
+    from preimage.studio.intentions import Intentions
 
 MOST_NAME = 120
 """Letters of a picture's name that are kept."""
@@ -46,7 +47,14 @@ class Studio:
         self, run: OpenedRun, recordings: Recordings, trainings: Trainings, *, results: Path | None = None, work: Path = Path("studio")
     ) -> None:
         self.run, self.recordings, self.trainings, self.work = run, recordings, trainings, work
-        self.jobs, self.goals, self.intentions, self.results = Jobs(), Goals(run, recordings), Intentions(run), Results(results)
+        self.jobs, self.goals, self.results = Jobs(), Goals(run, recordings), Results(results)
+
+    @cached_property
+    def intentions(self) -> "Intentions":
+        """The plane of the run's intentions, at the first question, for its room needs torch."""
+        from preimage.studio.intentions import Intentions
+
+        return Intentions(self.run)
 
     def planned(self, key: str) -> Planned:
         """Raises Refusal where there is no such plan."""
@@ -190,6 +198,8 @@ def add_walks(api: APIRouter, studio: Studio) -> None:
 
     @api.post("/jobs/{key}/walk", status_code=202, summary="Let the arm follow a plan, replanning at every step; stopped, it is held")
     def walk(key: str, wanted: Pace) -> dict[str, Any]:
+        from preimage.studio.eyes_open import Walk
+
         planned = studio.planned(key)
         walked = Walk(run, planned, jobs, pace=wanted.pace)
         job = jobs.add_beside("walk", walked.go, goal=planned.goal.described(run), preset=planned.preset, plan=key)

@@ -6,13 +6,14 @@ from pydantic import BaseModel, Field
 
 from preimage.presets import Preset, TrainOptions
 from preimage.studio.goals import MOST_SEEDS
-from preimage.studio.intentions import FARTHEST
 from preimage.studio.table import Touch
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS, description="draws what lies on the table")]
 MOST_UPDATES = 1_000_000
 """Months of them."""
+FARTHEST = 6.0
+"""How far from the middle of the plane the page may ask, in standard deviations: beyond, nothing was learned."""
 MOST_PACE = 20.0
 """More is no longer seen."""
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from preimage.data.decoding import NotShown, picture
 from preimage.data.view import look
-from preimage.network.inputs import home
 from preimage.records import Percept, Scene
 from preimage.studio.opened import OpenedRun
 from preimage.studio.pictures import inline
@@ -138,6 +137,8 @@ class Goals:
     def _start_of(self, seed: int) -> tuple[Percept, Scene | None]:
         table = self._run.table
         if table is None:
+            from preimage.network.inputs import home
+
             return home(self._run.planner("paper").model), None
         scene = table.scene(seed)
         return table.start(scene), scene

@@ -9,21 +9,22 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from preimage.method.seam import Problem
 from preimage.network.coding import to_frames
 from preimage.network.inputs import home
-from preimage.network.pdvmrnn import Generated
+from preimage.network.pdvmrnn import PDVMRNN, Generated
+from preimage.presets import PlanOptions
+from preimage.records import Percept
 from preimage.robot.kinematics import ACTIVE_JOINTS, forward_kinematics
+from preimage.studio.asked import FARTHEST
 from preimage.studio.opened import OpenedRun
 from preimage.studio.pictures import strip, text_of
 
 NEAR = 0.25
 """Distance at which a training intention counts half of what it would count at no distance, in standard deviations."""
-FARTHEST = 6.0
-"""How far from the middle the page may ask, in standard deviations: beyond, nothing was learned."""
 
 
 class Intentions:
@@ -75,6 +76,15 @@ class Intentions:
         else:
             named = {f"{name} at the end": values for name, values in zip(self._run.sensors.joint_names, joints.T, strict=True)}
         return [{"name": name, "values": values.round(4).tolist()} for name, values in named.items()]
+
+
+@torch.no_grad()
+def regenerate_first(model: PDVMRNN, start: Percept | None) -> UInt8[np.ndarray, "T H W C"]:
+    """The frames of the first training sequence as the network regenerates it, from its start or, where that is not known, from home."""
+    start = start or home(model)
+    problem = Problem.between(model, start, start, PlanOptions())
+    space = model.intention_table.space(None)
+    return to_frames(problem.imagine(space.intention(space.training[:1])).pixels[0]).cpu().numpy()
 
 
 def plane(points: Float[Tensor, "B K"]) -> Float[Tensor, "B 2"]:

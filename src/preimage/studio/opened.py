@@ -9,7 +9,6 @@ from preimage.network.config import Sensors
 from preimage.presets import Planner, PlanOptions, Preset, ReplanConfig, load_calibration, load_memory
 from preimage.robot import TASKS, Arm
 from preimage.robot.limits import Limits, limits_seen
-from preimage.storage.networks import load_model
 from preimage.storage.run_files import MEMORY
 from preimage.storage.runs import find_run, made_from, read_body, read_config, read_settings, read_shown, read_view
 from preimage.studio.table import Table
@@ -88,6 +87,8 @@ class OpenedRun:
         Raises:
             ValueError: the files of the run are broken, or the preset needs more of them than there are.
         """
+        from preimage.storage.networks import load_model
+
         with self._lock:
             if preset not in self._planners:
                 others = next(iter(self._planners.values()), None)

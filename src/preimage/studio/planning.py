@@ -10,24 +10,24 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from preimage.ideas.watched import Considered
-from preimage.network.coding import to_frames
 from preimage.presets import PlanOptions, Preset
 from preimage.records import NEAR_BELOW, REACHED_BELOW, Demonstration, GoalRefused, Plan, Scene, Trial, Verdict
 from preimage.robot.limits import commands_of
 from preimage.storage.plans import save_episode, write_commands
 from preimage.storage.recordings import save
 from preimage.studio.goals import Goal
-from preimage.studio.intentions import plane
 from preimage.studio.jobs import Job, Jobs
 from preimage.studio.opened import OpenedRun
 from preimage.studio.pictures import inline, strip, text_of
 from preimage.studio.problems import Refusal
 from preimage.studio.table import Table
+
+if TYPE_CHECKING:
+    from preimage.ideas.watched import Considered
 
 MOST_DOTS = 12
 """Candidates that are told of in one event: what a search evaluates at once are hardly ever more."""
@@ -68,7 +68,10 @@ class Onlooker:
         self._job, self._jobs, self._options = job, jobs, options
         self._began_s, self._count, self._lowest = time.monotonic(), 0, float("inf")
 
-    def __call__(self, considered: Considered) -> None:
+    def __call__(self, considered: "Considered") -> None:
+        from preimage.network.coding import to_frames
+        from preimage.studio.intentions import plane
+
         self._job.go_on()
         self._jobs.run_errands()
         best = int(considered.error.argmin())
@@ -254,7 +257,7 @@ def episode_zip(run: OpenedRun, plan: Plan) -> bytes:
 
 def film_of(planned: Planned) -> bytes:
     """The plan as a film, executed beside imagined where it was executed."""
-    from preimage.report import film  # matplotlib takes a second to load
+    from preimage.report.films import film  # matplotlib takes a second to load
 
     with tempfile.TemporaryDirectory() as folder:
         return film(planned.plan, planned.trial, Path(folder) / "plan.mp4").read_bytes()

@@ -8,7 +8,7 @@ from functools import partial
 from http import HTTPStatus
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import uvicorn
 from fastapi import FastAPI, Request
@@ -16,13 +16,14 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 
-from preimage.ideas.watched import Considered
-from preimage.network.inputs import home
 from preimage.studio.api import Studio, routes
 from preimage.studio.closed import LOOPBACK, Closed
 from preimage.studio.jobs import sentence_of
 from preimage.studio.opened import OpenedRun
 from preimage.studio.problems import MEDIA_TYPE, Refusal, problem_of
+
+if TYPE_CHECKING:
+    from preimage.ideas.watched import Considered
 
 KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 """What the page is made of."""
@@ -122,8 +123,9 @@ class Woken(Exception):
 
 def warm_up(run: OpenedRun) -> None:
     """Load the network, and let it imagine once, so that whoever asks first waits no longer than others; a fault is told when it is met."""
+    from preimage.network.inputs import home
 
-    def wake(_: Considered) -> None:
+    def wake(_: "Considered") -> None:
         raise Woken
 
     with suppress(ValueError, Woken):

@@ -6,15 +6,7 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from preimage.data.sequences import at_rate
-from preimage.method.seam import Problem
-from preimage.network.coding import to_frames
-from preimage.network.inputs import home
-from preimage.presets import PlanOptions
 from preimage.records import Demonstration
-from preimage.storage.networks import load_model
 from preimage.storage.run_files import HELD_OUT, LOG, WEIGHTS
 from preimage.storage.runs import part_of, read_config, read_log, read_view
 from preimage.studio.pictures import strip, text_of
@@ -90,7 +82,6 @@ class Trainings:
         about["resumable"] = done < (wanted or 0) and part_of(config, "data").get("name") in self._recordings.descriptions
         return about | series(shown) | {"held_out": series(unseen)}
 
-    @torch.no_grad()
     def film(self, name: str) -> dict[str, Any]:
         """The first training sequence as the last checkpoint regenerates it, beside what was recorded; Refusal where there is none."""
         folder = self._folder(name)
@@ -104,12 +95,13 @@ class Trainings:
             return kept[1]
 
     def _regenerated(self, folder: Path) -> dict[str, Any]:
+        from preimage.data.sequences import at_rate
+        from preimage.storage.networks import load_model
+        from preimage.studio.intentions import regenerate_first
+
         model, shown = load_model(folder), self._first_shown(folder)
         shown = None if shown is None else at_rate(shown, model.config.rate_hz)
-        start = home(model) if shown is None else shown.first
-        problem = Problem.between(model, start, start, PlanOptions())
-        space = model.intention_table.space(None)
-        frames = to_frames(problem.imagine(space.intention(space.training[:1])).pixels[0]).cpu().numpy()
+        frames = regenerate_first(model, None if shown is None else shown.first)
         recorded = None if shown is None else text_of(strip(shown.frames))
         return {"height": frames.shape[1], "width": frames.shape[2], "film": text_of(strip(frames)), "recorded": recorded}
 
