@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-LEAST_RATE_HZ, MOST_RATE_HZ = 0.2, 1000.0
-"""Recordings of robots have rates between these; what is outside counts in another unit."""
+from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
+
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 IN_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 SPELLINGS = {
@@ -129,21 +129,21 @@ def rate_of(clock: Clock, where: str) -> float:
     """
     step_s, seconds = float(np.median(np.diff(clock.times_s))), SECONDS[unit_of(clock.name) or "s"]
     rate_hz = float(f"{1 / step_s:.4g}")  # clocks jitter: more digits would say what nobody measured
-    if LEAST_RATE_HZ <= rate_hz <= MOST_RATE_HZ:
+    if LOWEST_RATE_HZ <= rate_hz <= HIGHEST_RATE_HZ:
         return rate_hz
-    likely = [unit for unit in SECONDS if LEAST_RATE_HZ <= seconds / (step_s * SECONDS[unit]) <= MOST_RATE_HZ]
+    likely = [unit for unit in SECONDS if LOWEST_RATE_HZ <= seconds / (step_s * SECONDS[unit]) <= HIGHEST_RATE_HZ]
     guess = f"if it counts {IN_WORDS[likely[0]]}, call it time_{likely[0]}" if likely else "look at the unit"
     unit = IN_WORDS[unit_of(clock.name) or "s"]
     raise ValueError(f"{where} has {step_s:g} s a picture ({rate_hz:g} Hz), as {clock.name} is in {unit}: {guess}; {bounds()}")
 
 
 def bounds() -> str:
-    return f"rates are {LEAST_RATE_HZ:g} to {MOST_RATE_HZ:g} Hz"
+    return f"rates are {LOWEST_RATE_HZ:g} to {HIGHEST_RATE_HZ:g} Hz"
 
 
 def is_rate(rate_hz: object) -> bool:
     """Whether a value out of a file is a rate that a robot may be recorded at."""
-    return isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool) and LEAST_RATE_HZ <= rate_hz <= MOST_RATE_HZ
+    return isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool) and LOWEST_RATE_HZ <= rate_hz <= HIGHEST_RATE_HZ
 
 
 def seconds_since_1970(text: str) -> float:

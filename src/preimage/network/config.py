@@ -43,7 +43,7 @@ class ModelConfig:
 
     def __post_init__(self) -> None:
         at_least = {"intention_dimensions": 1, "seen_channels": 1, "intention_cost": 0, "intention_noise": 0, "keypoints": 0}
-        validate(self, at_least=at_least, held=("intention_dimensions", "seen_channels", "keypoints"), above_zero=("rate_hz",))
+        validate(self, at_least=at_least, held=("intention_dimensions", "seen_channels", "keypoints"), rates=("rate_hz",))
 
     @classmethod
     def tiny(cls) -> Self:

@@ -4,6 +4,8 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
+
 MOST = 10**9
 """Whole numbers beyond this are none that the work could end with."""
 MOST_HELD = 10**5
@@ -17,6 +19,7 @@ def validate(
     held: Iterable[str] = (),
     above_zero: Iterable[str] = (),
     shares: Iterable[str] = (),
+    rates: Iterable[str] = (),
 ) -> None:
     """Raises ValueError for the first field that is out of range; None stands for a default and passes.
 
@@ -37,6 +40,9 @@ def validate(
         _require(settings, name, lambda value: 0 < value < math.inf, "a number above 0")
     for name in shares:
         _require(settings, name, lambda value: 0 <= value <= 1, "a share between 0 and 1")
+    for name in rates:
+        in_words = f"{LOWEST_RATE_HZ:g} to {HIGHEST_RATE_HZ:g} steps a second"
+        _require(settings, name, lambda value: LOWEST_RATE_HZ <= value <= HIGHEST_RATE_HZ, in_words)
 
 
 def _require(settings: Any, name: str, fits: Any, wanted: str) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from preimage.network.config import ModelConfig, Sensors
-from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
 from preimage.storage.run_files import WEIGHTS
 
 if TYPE_CHECKING:
@@ -38,8 +37,8 @@ def validate_sensors(sensors: Sensors) -> None:
 def validate_size(config: ModelConfig, sensors: Sensors, num_sequences: int, *, num_bytes: int) -> None:
     """Raises ValueError where a network is larger than the file of its weights could hold, before there is room made for it."""
     sizes = *config.vision_channels, *config.motor_units, config.top_channels, config.lateral_channels, config.seen_channels
-    if min(*sizes, config.units_per_joint, num_sequences) < 1 or not LOWEST_RATE_HZ <= config.rate_hz <= HIGHEST_RATE_HZ:
-        raise ValueError("its network has a size below 1, or a rate out of range")
+    if min(*sizes, config.units_per_joint, num_sequences) < 1:
+        raise ValueError("its network has a size below 1")
     recurrent = 4 * sum(size**2 for size in (*config.vision_channels, *config.motor_units))  # four gates from a layer to itself
     frame, table = math.prod((sensors.height, sensors.width, sensors.channels)), num_sequences * (config.intention_dimensions or 1)
     if 2 * max(recurrent, frame, table, sensors.num_joints * config.units_per_joint) > num_bytes:
