@@ -129,6 +129,7 @@ PLANTED: dict[str, tuple[Kind, Severity, Fault]] = {
     "jitter": (Kind.CLOCK, WARNING, in_one(lambda one: with_times(one, lambda t: t + 0.04 * (np.arange(len(t)) % 2)))),
     "another clock": (Kind.CLOCK, WARNING, in_all(lambda one: with_times(one, lambda t: 1.2 * t))),
     "a clock that stands": (Kind.CLOCK, WARNING, in_all(lambda one: with_times(one, lambda t: 0 * t))),
+    "a clock without end": (Kind.CLOCK, WARNING, in_one(lambda one: with_times(one, lambda t: np.where(np.arange(len(t)) > 8, np.inf, t)))),
     "a frozen joint": (Kind.FROZEN, NOTE, in_all(lambda one: with_joint(one, 1, lambda joint: 0 * joint + 0.3))),
     "a spike": (Kind.JUMP, WARNING, in_one(lambda one: with_joint(one, 1, lambda joint: joint + 0.8, 8))),
     "a leap": (Kind.JUMP, WARNING, in_one(lambda one: with_joint(one, 0, lambda joint: joint - 2.5, slice(8, 12)))),

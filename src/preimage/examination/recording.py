@@ -79,7 +79,15 @@ def durations(seen: Sequence[Seen]) -> Iterator[Finding]:
 
 
 def clock(seen: Sequence[Seen]) -> Iterator[Finding]:
-    ticks = {one.index: np.diff(one.timestamps_s) for one in seen if one.timestamps_s is not None and one.num_steps >= LEAST_STEPS}
+    with np.errstate(invalid="ignore", over="ignore"):
+        ticks = {one.index: np.diff(one.timestamps_s) for one in seen if one.timestamps_s is not None and one.num_steps >= LEAST_STEPS}
+    endless = _where(ticks, lambda gap: ~np.isfinite(gap))
+    if endless:
+        what = f"from one time stamp to the next is no finite time ({at_places(endless)})"
+        yield Finding(
+            Kind.CLOCK, Severity.WARNING, what, f"{leaving_out(episodes_of(endless))}, or record again with a clock", *_of(endless)
+        )
+    ticks = {episode: gaps for episode, gaps in ticks.items() if np.isfinite(gaps).all()}
     if not ticks:
         return
     tick, rate_hz = float(np.median(np.concatenate(list(ticks.values())))), seen[0].rate_hz
