@@ -30,6 +30,10 @@ BACKWARDS_RAD = 2.8
 """Yaw of an arm that points away from the table (rad)."""
 FOREIGN = "foreign"
 """Name of a circle that was never in the scene."""
+SEEN = 1 / 256
+"""Share of the picture that a foreign object has to change: behind the arm there is nothing to be seen of it, and the goal is possible."""
+DIFFERENT = 15
+"""Grey levels by which a pixel has to change for that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,17 +106,18 @@ def foreign_object(source: Source) -> Frame:
     """The end of the scene with a thing on the table that was not there: a dark cylinder, or a second light circle."""
     workspace = source.task.workspace
     joints, positions_m = end_of(source.task, source.scene)
-    while True:  # on the table, and away from everything else
+    without = photograph(source, source.task, joints, positions_m)
+    if workspace.has_object:
+        workspace, name, height_m = replace(workspace, circles=(*workspace.circles, FOREIGN)), FOREIGN, 0.0
+    else:
+        workspace, name, height_m = replace(workspace, has_object=True), "object", 0.05
+    task = replace(source.task, workspace=workspace)  # pyright: ignore[reportArgumentType]
+    while True:
         spot = tuple(source.rng.uniform((0.2, -0.3), (0.65, 0.3)))
         if all(np.hypot(*np.subtract(spot, place[:2])) > 0.2 for place in source.scene.positions_m.values()):
-            break
-    if workspace.has_object:
-        workspace = replace(workspace, circles=(*workspace.circles, FOREIGN))
-        positions_m |= {FOREIGN: (*spot, 0.0)}
-    else:
-        workspace = replace(workspace, has_object=True)
-        positions_m |= {"object": (*spot, 0.05)}
-    return photograph(source, replace(source.task, workspace=workspace), joints, positions_m)  # pyright: ignore[reportArgumentType]
+            shown = photograph(source, task, joints, positions_m | {name: (*spot, height_m)})
+            if (np.abs(shown.astype(int) - without) > DIFFERENT).any(-1).mean() >= SEEN:
+                return shown
 
 
 def mirrored(source: Source) -> Frame:

@@ -20,7 +20,7 @@ from preimage.ideas.calibration import Calibration
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
 from preimage.ideas.kriging import Endings, Kernel, fits, usual
 from preimage.ideas.memory import DemonstrationMemory
-from preimage.ideas.unseen_parts import in_few_rows, thing_in_the_open, unseen_part
+from preimage.ideas.unseen_parts import FINE_ROWS, in_few_rows, unimagined_thing, unseen_part
 from preimage.network.coding import to_pixels
 from preimage.network.pdvmrnn import PDVMRNN
 from preimage.records import Plan, Trust
@@ -37,7 +37,7 @@ REASONS = {
     "goal_residual": NOT_IMAGINED,
     "goal_worst_place": NOT_IMAGINED,
     "goal_part": NEVER_SEEN,
-    "in_the_open": NEVER_SEEN,
+    "unimagined_thing": NEVER_SEEN,
     "start_residual": START_UNLIKE,
     "start_joints": START_UNLIKE,
     "start_picture": START_UNLIKE,
@@ -52,7 +52,7 @@ REASONS = {
     "little_change": ALREADY_THERE,
 }
 """The evidence by name, and what it says in words where there is much of it."""
-REFUSING = "goal_part", "in_the_open"
+REFUSING = "goal_part", "unimagined_thing"
 """Evidence of what cannot be. A hand between demonstrated hands is strange by it too, and reached, so it says nothing of how likely."""
 LIKELY_ONLY = ("start_uncertainty",)
 """Evidence that refuses nothing: a start is what it is, and a few strange ones among those that are reached would let all goals pass."""
@@ -66,8 +66,8 @@ FINEST_PIXEL = 1e-6
 """Squared difference of pixels below which pictures are the same (half ranges, squared): a tenth of a grey level."""
 FINEST_PART = 1e-2
 """Share of what is to be seen at a place, below which all of it is found."""
-FINEST_THING = 2e-3
-"""Squared difference from the background (half ranges, squared) below which there is nothing: six grey levels."""
+FINEST_THING = 1 / FINE_ROWS**2
+"""Mean square over a picture (half ranges, squared) of a thing that is none: one pixel that differs by half the range."""
 MOST_ALIKE = 24
 """Endings, those that look most like the goal, in which its parts are looked for: the others have their hands elsewhere."""
 FINEST_JOINT = 5e-3
@@ -214,6 +214,7 @@ class Demonstrated:
         standing = apart(start - self.first_background).flatten()
         from_starts = self.start_kernel.towards((self.starts.points - standing).square().sum(1))
         seen, imagined_end = in_few_rows(torch.stack([goal, arrival]))
+        finely = in_few_rows(torch.stack([goal, arrival, start, self.background]), FINE_ROWS)
         most_alike = self.final_pictures[(self.final_pictures - seen).square().sum((1, 2, 3)).argsort()[:MOST_ALIKE]]
         begun, final = self.shares(plan.start.joints), self.shares(plan.joints[plan.arrival_step])
         found = {
@@ -221,7 +222,7 @@ class Demonstrated:
             "uncertainty": log(self.kernel.variance(towards), 1e-8),
             "ambiguity": log(self.joint_errors[alike].square().mean().sqrt(), FINEST_JOINT),
             "goal_part": log(unseen_part(seen, torch.cat([imagined_end[None], most_alike])), FINEST_PART),
-            "in_the_open": log(thing_in_the_open(seen, imagined_end, in_few_rows(self.background)), FINEST_THING),
+            "unimagined_thing": log(unimagined_thing(finely[0], finely[1], finely[2:]), FINEST_THING),
             "goal_picture": log(nearest(blurred(goal, BLUR), self.last_frames)),
             "final_joints": log(nearest(final, self.final_joints), FINEST_JOINT),
             "start_joints": log(nearest(begun, self.first_joints), FINEST_JOINT),

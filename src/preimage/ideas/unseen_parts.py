@@ -3,18 +3,18 @@
 A network imagines an arm a little blurred and a little beside itself, so that pixel by pixel its edges differ more than a small thing does
 that it does not imagine at all. So each place of a picture is looked for in other pictures, a little to all sides, and what is left of it,
 where it is found best, is measured by the contrasts that the place has of its own: of an arm that is out of place little is left then, of a
-thing that is missing most of it, unless it is very faint. And where nothing is imagined, far from all that is, nothing should be seen.
+thing that is missing most of it, unless it is very faint. And what stands apart from all that is imagined should not be there.
 
 >>> table, thing = torch.zeros(2, 1, 32, 32)
 >>> thing[0, 14:17, 14:17] = 0.8
 >>> round(float(unseen_part(thing, thing.roll(2, dims=2)[None])), 2), float(unseen_part(thing, table[None])) > 0.7
 (0.0, True)
->>> float(thing_in_the_open(thing, table, table)) > 0.1, float(thing_in_the_open(thing, thing.roll(2, dims=2), table))
+>>> float(unimagined_thing(thing, table, table[None])) > 0, float(unimagined_thing(thing, thing.roll(2, dims=2), table[None]))
 (True, 0.0)
 """
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 ROWS = 32
@@ -27,8 +27,8 @@ FAINT = 0.02
 """Squared contrast (half ranges, squared) of a place in which little is to be seen: a seventh of half the range."""
 THERE = 0.1
 """Where a picture differs by more than this from the background (half ranges), something is there."""
-SMALL = 1 / 16
-"""Side of the smallest thing that is looked for, in heights of a frame."""
+FINE_ROWS = 64
+"""Things are looked for in more rows: between an arm and what lies beside it there may be a pixel."""
 
 
 def unseen_part(picture: Float[Tensor, "C H W"], others: Float[Tensor, "N C H W"]) -> Float[Tensor, ""]:
@@ -42,14 +42,31 @@ def unseen_part(picture: Float[Tensor, "C H W"], others: Float[Tensor, "N C H W"
     return (left / (contrast + FAINT)).max()
 
 
-def thing_in_the_open(
-    picture: Float[Tensor, "C H W"], imagined: Float[Tensor, "C H W"], background: Float[Tensor, "C H W"]
+def unimagined_thing(
+    picture: Float[Tensor, "C H W"], imagined: Float[Tensor, "C H W"], before: Float[Tensor, "N C H W"]
 ) -> Float[Tensor, ""]:
-    """The largest mean squared difference from the background of a small place that is far from all that is imagined."""
-    side, aside = max(1, round(SMALL * picture.shape[1])), max(1, round(BESIDE * picture.shape[1]))
-    there = ((imagined - background).abs().amax(0) > THERE).to(picture)
-    covered = torch.nn.functional.max_pool2d(there[None], 2 * aside + 1, 1, aside)[0]
-    return torch.nn.functional.avg_pool2d(((picture - background).square().mean(0) * (1 - covered))[None], side, 1).max()
+    """The mean square over the picture (half ranges, squared) of the most striking thing that is not imagined.
+
+    A thing is what hangs together of all that differs from every picture from before. It is imagined where at least half of its pixels are
+    among those at which the imagined picture differs likewise, or beside them: an arm in its place, a little aside, or as a blur.
+
+    Args:
+        before: of the table with nothing on it, and of how it was at the start.
+    """
+    there, expected = ((each - before).abs().amax(1).amin(0) for each in (picture, imagined))
+    covered = torch.nn.functional.max_pool2d((expected > THERE).to(there)[None], 3, 1, 1).flatten()
+    things = hanging_together(there > THERE).flatten()
+    of_each = (torch.ones_like(covered), covered, there.flatten().square())
+    pixels, imagined_pixels, squares = (torch.bincount(things, each, minlength=len(things) + 1)[1:] for each in of_each)
+    return torch.where(imagined_pixels < pixels / 2, squares, 0).max() / len(things)
+
+
+def hanging_together(there: Bool[Tensor, "H W"]) -> Int[Tensor, "H W"]:
+    """A number for each group of pixels that touch, at a side or a corner; 0 where nothing is there."""
+    numbers = torch.arange(1.0, there.numel() + 1, dtype=torch.float64, device=there.device).reshape(there.shape) * there
+    while not torch.equal(numbers, largest := torch.nn.functional.max_pool2d(numbers[None], 3, 1, 1)[0] * there):
+        numbers = largest
+    return numbers.long()
 
 
 def means_over_places(pictures: Float[Tensor, "N H W"], side: int) -> Float[Tensor, "N h w"]:
@@ -57,6 +74,6 @@ def means_over_places(pictures: Float[Tensor, "N H W"], side: int) -> Float[Tens
     return torch.nn.functional.avg_pool2d(pictures[:, None], side, max(1, side // 4))[:, 0]
 
 
-def in_few_rows(pictures: Float[Tensor, "*batch C H W"]) -> Float[Tensor, "*batch C h w"]:
-    """Pictures in ROWS rows or a few more, in single precision."""
-    return torch.nn.functional.avg_pool2d(pictures.float(), max(1, pictures.shape[-2] // ROWS))
+def in_few_rows(pictures: Float[Tensor, "*batch C H W"], rows: int = ROWS) -> Float[Tensor, "*batch C h w"]:
+    """Pictures in so many rows or a few more, in single precision."""
+    return torch.nn.functional.avg_pool2d(pictures.float(), max(1, pictures.shape[-2] // rows))
