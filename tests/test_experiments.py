@@ -57,8 +57,11 @@ def test_the_plane_holds_what_differs_most() -> None:
 
 def test_presets_share_what_they_train_alike_and_nothing_else() -> None:
     full, regression, paper = (Cell("reach", preset=preset) for preset in ("full", "regression", "paper"))
-    assert full.run == regression.run == full.name
-    assert paper.run == paper.name != full.run
+    assert paper.run == regression.run == paper.name != full.run == full.name
+    assert network_of(regression) == network_of(paper) != network_of(full)
+    gripping = Cell("move-object", preset="regression")
+    assert gripping.run == Cell("move-object").run
+    assert network_of(gripping) == network_of(Cell("move-object"))
     assert regression.name not in (full.name, full.run)
     assert len({each.name for each in (full, regression, paper)}) == 3
 
@@ -87,7 +90,7 @@ def test_a_cell_of_another_preset_plans_without_memory(preset: Preset, tmp_path)
     result = json.loads((tmp_path / "results" / f"{cell.name}-closed.json").read_text())
     assert result["preset"] == preset
     assert set(result["baselines"]) == {"do_nothing", "nearest_demonstration", "prior_mean"}
-    assert result["plan"]["search"] == {"paper": "adam", "regression": "gauss_newton"}[preset]
+    assert (result["plan"]["search"], result["plan"]["guess"]) == ("adam", {"paper": "random", "regression": "nearest"}[preset])
 
 
 @pytest.mark.slow

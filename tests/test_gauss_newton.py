@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bars import FULL, REGRESSION, bar, objective_of, problem_to
+from bars import FULL, SOLVED, bar, objective_of, problem_to
 from preimage.ideas.gauss_newton import (
     BEHIND,
     GaussNewton,
@@ -128,7 +128,7 @@ def test_candidates_that_fall_behind_are_dropped(trained: PDVMRNN) -> None:
 
 def test_a_plan_reaches_a_goal_between_the_demonstrations(trained: PDVMRNN) -> None:
     shown = bar(0.8)
-    found = Planner(trained, None, REGRESSION).plan(start=shown.first, goal=Percept(frame=shown.last.frame))
+    found = Planner(trained, None, SOLVED).plan(start=shown.first, goal=Percept(frame=shown.last.frame))
     assert np.abs(found.joints[found.arrival_step] - shown.joints[-1]).max() < 0.08
     assert found.errors[-1] < found.errors[0]
     assert found.error == pytest.approx(found.errors[-1], rel=1e-4)
@@ -149,6 +149,6 @@ def test_a_search_ends_where_the_error_is_small_enough(trained: PDVMRNN, memory:
 
 def test_a_search_that_nobody_expects_joints_of_goes_on(trained: PDVMRNN) -> None:
     shown = bar(0.8)
-    options = [replace(REGRESSION, iterations=3, tolerance=share) for share in (0.0, 1e9)]
+    options = [replace(SOLVED, iterations=3, tolerance=share) for share in (0.0, 1e9)]
     found = [Planner(trained, None, each).plan(start=shown.first, goal=shown.last) for each in options]
     np.testing.assert_array_equal(*(one.errors for one in found))

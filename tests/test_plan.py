@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import preimage as pi
-from bars import EXACT, PAPER, REGRESSION, bar, bars, objective_of, problem_to, tiny_double
+from bars import EXACT, PAPER, REGRESSION, SOLVED, bar, bars, objective_of, problem_to, tiny_double
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.ideas.no_goal import imagine_without_goal
 from preimage.method.config import Modalities, PlanConfig, TrainConfig
@@ -147,7 +147,7 @@ def test_joints_that_were_never_demonstrated_are_no_goal_in_python_either(traine
             planned()
 
 
-@pytest.mark.parametrize("options", [PAPER, REGRESSION], ids=["paper", "regression"])
+@pytest.mark.parametrize("options", [PAPER, REGRESSION, SOLVED], ids=["paper", "regression", "gauss-newton"])
 def test_planning_leaves_the_weights_alone(trained: PDVMRNN, options: PlanOptions) -> None:
     before = {name: value.clone() for name, value in trained.state_dict().items()}
     Planner(trained, None, replace(options, iterations=2)).plan(goal=bar(0.4).last)
@@ -188,7 +188,7 @@ def test_without_a_goal_the_intention_is_the_prior_mean(trained: PDVMRNN) -> Non
     np.testing.assert_array_equal(found.joints, trained.coding.decode(imagined_by(trained, found).log_codes[0].exp()).double())
 
 
-@pytest.mark.parametrize("options", [PAPER, REGRESSION], ids=["paper", "regression"])
+@pytest.mark.parametrize("options", [PAPER, REGRESSION, SOLVED], ids=["paper", "regression", "gauss-newton"])
 def test_a_model_of_one_demonstration_plans(options: PlanOptions) -> None:
     """Once random guesses were scaled by how much training intentions differ, of which there was one, and were no numbers."""
     alone = train([bar(0.5)], ModelConfig.tiny(), config=TrainConfig(updates=2, rest_steps=1, precision="float32"))

@@ -78,9 +78,9 @@ def test_each_idea_is_switched_by_itself(idea: str, memory: DemonstrationMemory)
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("size", ["tiny", "small", "paper"])
-def test_the_papers_intention_is_free_and_the_others_latent(size: str, preset: Any) -> None:
+def test_the_papers_intention_is_free_and_that_of_full_latent(size: str, preset: Any) -> None:
     network, latent = network_config(size, preset), network_config(size, "full")
-    assert network.intention == ("free" if preset == "paper" else "latent")
+    assert network.intention == ("latent" if preset == "full" else "free")
     assert (network.vision_channels, network.motor_units) == (latent.vision_channels, latent.motor_units)
     assert network_config("paper", "paper") == ModelConfig.paper()
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bars import EXACT, PAPER, REGRESSION, bar, nearly, problem_to
+from bars import EXACT, PAPER, REGRESSION, SOLVED, bar, nearly, problem_to
 from preimage.ideas.nearest_training import NearestSequences
 from preimage.ideas.residuals import residuals_of
 from preimage.method.plan import recognise
@@ -37,7 +37,7 @@ def test_what_there_is_to_explain_is_the_error_of_staying_at_the_first_percept(t
     assert ToSequence(still).to_explain == pytest.approx(0, abs=1e-6)
 
 
-@pytest.mark.parametrize("options", [PAPER, REGRESSION], ids=["paper", "regression"])
+@pytest.mark.parametrize("options", [PAPER, REGRESSION, SOLVED], ids=["paper", "regression", "gauss-newton"])
 def test_recognition_regenerates_a_new_sequence(trained: PDVMRNN, options: PlanOptions) -> None:
     shown = bar(0.45)  # the prior mean imagines one of 0.55
     found = Planner(trained, None, replace(options, iterations=min(options.iterations, 30))).recognise(shown)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bars import REGRESSION, bar
+from bars import REGRESSION, SOLVED, bar
 from preimage.ideas.test_time_augmentation import TestTimeAugmentation, shifted
 from preimage.network.coding import to_frames
 from preimage.network.inputs import as_inputs
@@ -62,7 +62,7 @@ def test_what_the_search_has_imagined_is_not_imagined_again(trained: PDVMRNN, mo
     counts: list[int] = []
     imagine = PDVMRNN.generate_closed_loop
     monkeypatch.setattr(PDVMRNN, "generate_closed_loop", lambda *given, **more: (counts.append(len(given[1])), imagine(*given, **more))[1])
-    planner = Planner(trained, None, replace(REGRESSION, test_time_augmentation=0.05))
+    planner = Planner(trained, None, replace(SOLVED, test_time_augmentation=0.05))
     planner.imagine_without_goal(bar(0.3).first)
     assert counts == [1, 8]
     planner.plan(goal=bar(0.3).last)

@@ -41,7 +41,7 @@ def demo(
         goals: how many goals.
         seed: draws the goals.
         out: folder for films, figures and report.html: new, empty, or that of a demo before, which is replaced.
-        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
+        as_: paper: the paper's method alone; regression: the same, begun near the goal; full: all ideas. Other options change it.
         config: how the plans are searched for.
     """
     if task not in BUNDLED:
@@ -90,7 +90,7 @@ def plan_(
         overwrite: replace the plan that is in `out`.
         anyway: write the plan even where the goal is refused, because nothing like it was ever reached (`preimage calibrate`).
         device: what computes; of a small network the CPU has a plan before a GPU has made ready.
-        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
+        as_: paper: the paper's method alone; regression: the same, begun near the goal; full: all ideas. Other options change it.
         config: how the plan is searched for.
     """
     from preimage.compute.devices import torch_device
@@ -206,7 +206,7 @@ def execute_(
             (camera) or late.
         anyway: execute even a plan to a goal that is refused.
         replan: how --loop replan goes about it.
-        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
+        as_: paper: the paper's method alone; regression: the same, begun near the goal; full: all ideas. Other options change it.
         config: how plans are searched for.
     """
     import time

@@ -69,7 +69,7 @@ def evaluate_(
         device: what computes; auto is a GPU where there is one, or one for each of the devices.
         devices: processes on this machine that share the goals.
         replan: how --loop replan goes about it.
-        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
+        as_: paper: the paper's method alone; regression: the same, begun near the goal; full: all ideas. Other options change it.
         config: how the plans are searched for.
     """
     from preimage.compute.processes import join_processes
@@ -215,7 +215,7 @@ def reproduce_(
     Args:
         table: which of the paper's tables, or all; ablation: what each idea brings, by all presets.
         size: of the network.
-        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas.
+        as_: paper: the paper's method alone; regression: the same, begun near the goal; full: all ideas.
         seeds: how many of the three training seeds.
         demonstrations: which numbers of demonstrations.
         tasks: which tasks; by default all of the table.

@@ -89,7 +89,7 @@ def train_(
         tensorboard: write the errors for TensorBoard too, into the run folder (extra `tensorboard`).
         network: what differs from the size's own.
         view: how the recordings are looked at.
-        as_: paper is the paper's network and learning alone; regression and full begin with a latent intention.
+        as_: paper and regression learn as the paper does, with a free intention; full begins with a latent one.
         config: how the network learns.
     """
     from preimage.compute.precision import describe_precision

@@ -39,7 +39,7 @@ def calibrate_(
         task: name of the task; by default the one that the run was trained on.
         data: recordings instead of the simulator, those of them that were never trained on: a plan succeeds that ends in their joints.
         device: what computes.
-        as_: paper: the paper's method alone; regression: network and search without memory; full: all ideas. Other options change it.
+        as_: paper: the paper's method alone; regression: the same, begun near the goal; full: all ideas. Other options change it.
         config: how plans are searched for; a calibration holds for no other options.
     """
     from preimage.compute.devices import torch_device

@@ -33,17 +33,17 @@ from preimage.storage.reading import read_json
 from preimage.storage.runs import find_run, made_from
 
 PAPER, REGRESSION, FULL = PlanOptions.paper(), PlanOptions.regression(), PlanOptions.full()
-SEARCH = "search", "iterations", "learning_rate", "screening", "finalists"
-"""The options that make a search the paper's."""
 SWITCHES: dict[str, tuple[str, ...]] = {
     "kriged guess": ("guess", "candidates"),
-    "brief search": ("iterations", "least_gain", "drop_above", "intention_cost"),
+    "Gauss-Newton": ("search", "iterations", "dimensions"),
     "expected joints": ("expected_joints",),
     "test-time augmentation": ("test_time_augmentation",),
     "end correction": ("end_correction",),
     "gripper events": ("gripper_events",),
 }
 """The ideas that full has and regression has not, and the options that switch them."""
+NEAREST = "guess", "earliest_arrival"
+"""The options by which a search begins at the nearest training intentions."""
 
 
 @dataclass(frozen=True)
@@ -62,20 +62,19 @@ class Variant:
         return f"{self.preset} {self.idea}".strip()
 
     def learned(self, cell: Cell) -> Cell:
-        """The training whose model it plans with; regression shares that of full."""
-        return replace(cell, preset="paper" if self.preset == "paper" else "full", without=self.without)
+        """The training whose model it plans with."""
+        return replace(cell, preset=self.preset, without=self.without)
 
 
 def variants_of(cell: Cell) -> list[Variant]:
     """The rows of a task's table, those that are soon made first; of a bundled model those that need no training of their own."""
     ideas = {name: fields for name, fields in SWITCHES.items() if name != "gripper events" or cell.task in GRIPPING}
-    both = {"- Gauss-Newton": options_of(PAPER, SEARCH), "- hold at the goal": {"hold_goal": False}}
+    unheld = {"hold_goal": False}
     variants = [Variant("full")]
     variants += [Variant("full", f"- {idea}", options_of(REGRESSION, fields)) for idea, fields in ideas.items()]
-    variants += [Variant("full", idea, options) for idea, options in both.items()]
-    variants += [Variant("regression")]
+    variants += [Variant("full", "- hold at the goal", unheld), Variant("regression")]
     variants += [Variant("regression", f"+ {idea}", options_of(FULL, fields)) for idea, fields in ideas.items()]
-    variants += [Variant("regression", idea, options) for idea, options in both.items()]
+    variants += [Variant("regression", "- hold at the goal", unheld), Variant("regression", "- nearest guess", options_of(PAPER, NEAREST))]
     if cell.bundled:
         return variants
     made_for = [idea for idea, tasks in TRAINING_IDEAS.items() if (cell.task, cell.num_demonstrations) in tasks]

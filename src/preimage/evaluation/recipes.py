@@ -58,7 +58,7 @@ class Cell:
     seed: int = 0
     size: str = "small"
     preset: Preset = "full"
-    """How it is trained and how it plans; regression plans with the networks of full."""
+    """How it is trained and how it plans."""
     loops: tuple[Loop, ...] = ("closed",)
     pixels: int = 64
     """Height and width of the frames."""
@@ -79,7 +79,14 @@ class Cell:
     @property
     def run(self) -> str:
         """Of its trained model, which presets that train alike share."""
-        return self._named("-as-paper" if self.preset == "paper" else "")
+        return self._named("-as-paper" if self.learns_as == "paper" else "")
+
+    @property
+    def learns_as(self) -> Preset:
+        """The preset by which its model is trained: regression plans with the network of paper, or, where things are gripped, of full."""
+        if self.preset == "regression":
+            return "full" if self.task in GRIPPING else "paper"
+        return self.preset
 
     def _named(self, preset: str) -> str:
         without = f"-without-{self.without}" if self.without else ""
@@ -138,8 +145,8 @@ def cells_of(table: str, size: str) -> list[Cell]:
 
 def network_of(cell: Cell) -> ModelConfig:
     """The cell's network, with the capacity of its intention."""
-    network = network_config(cell.size, cell.preset)
-    if cell.preset == "paper":
+    network = network_config(cell.size, cell.learns_as)
+    if cell.learns_as == "paper":
         return replace(network, **PAPER_NETWORKS.get(cell.task, {}))
     network = replace(network, **NETWORKS.get(cell.task, {}))
     if cell.without == "keypoints":
@@ -152,7 +159,7 @@ def network_of(cell: Cell) -> ModelConfig:
 def learning_of(cell: Cell) -> TrainOptions:
     """How the cell's model learns."""
     config = TrainOptions(seed=cell.seed)
-    if cell.preset != "paper":
+    if cell.learns_as != "paper":
         few = FEW.get(cell.num_demonstrations, {}) if cell.task == "reach" else {}
         config = replace(config, **LEARNING.get(cell.task, {}), **few)
     if cell.without in ("mixup", "later_starts"):

@@ -1,8 +1,8 @@
 """The three ways to train and plan, and the only place where ideas are wired into the method.
 
 * `paper`: the paper's method and nothing else. No memory is read.
-* `regression`: what the network and the search are worth without memory: a latent intention, Gauss-Newton from several training
-  intentions, the goal held. Nothing is corrected.
+* `regression`: what network and search are worth without memory: the paper's, but that the search begins at the training intentions
+  which come nearest to the goal, and that the goal is to be stayed in. Nothing is corrected.
 * `full`: all ideas, the memory of the demonstrations among them.
 """
 

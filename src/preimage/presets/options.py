@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from preimage.method.seam import Augmentation, Ideas, PlanCorrection, TermsOf
 
 Preset = Literal["paper", "regression", "full"]
-"""paper: the paper's method alone; regression: network and search without memory; full: all ideas."""
+"""paper: the paper's method alone; regression: its network and its search, begun near the goal and to stay there; full: all ideas."""
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 SIZES: dict[str, Callable[[], ModelConfig]] = {"tiny": ModelConfig.tiny, "small": ModelConfig.small, "paper": ModelConfig.table_1}
 """Sizes of the network, with a latent intention."""
 
 
 def network_config(size: str, preset: Preset) -> ModelConfig:
-    """The network of a size and a preset: by `paper` its intention is free, else latent."""
-    if preset != "paper":
+    """The network of a size and a preset: by `full` its intention is latent, else free."""
+    if preset == "full":
         return SIZES[size]()
     return ModelConfig.paper() if size == "paper" else SIZES[size]().as_paper()
 
@@ -106,18 +106,15 @@ class PlanOptions(PlanConfig):
 
     @classmethod
     def regression(cls) -> Self:
-        """Network and search without memory."""
-        return cls(
-            search="gauss_newton", guess="nearest", candidates=4, iterations=40, least_gain=0.005, drop_above=10.0, intention_cost=1e-4,
-            dimensions=32, hold_goal=True, earliest_arrival=0,
-        )  # fmt: skip
+        """The paper's search, begun at the training intentions that come nearest to the goal, which is to be stayed in."""
+        return cls(guess="nearest", hold_goal=True, earliest_arrival=0)
 
     @classmethod
     def full(cls) -> Self:
-        """All ideas. The search begins near the goal, and is done sooner."""
+        """All ideas. The search begins beside the goal, in intentions of few numbers, and is done sooner."""
         return replace(
-            cls.regression(), guess="kriged", candidates=1, iterations=12, least_gain=0.2, drop_above=1.3, intention_cost=1e-3,
-            expected_joints=True, tolerance=0.003, test_time_augmentation=0.03, end_correction=True, gripper_events=True,
+            cls.regression(), search="gauss_newton", guess="kriged", candidates=1, iterations=12, dimensions=32, expected_joints=True,
+            tolerance=0.003, test_time_augmentation=0.03, end_correction=True, gripper_events=True,
         )  # fmt: skip
 
     @classmethod

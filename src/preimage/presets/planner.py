@@ -155,10 +155,9 @@ class Planner:
         from preimage.method.seam import Ideas
 
         options = self.options
-        if options.search == "adam":
-            return recognise(self.model, demonstration, config=options)
-        search = options.gauss_newton()
-        return recognise(self.model, demonstration, config=options, ideas=Ideas(NearestSequences(options.candidates), search))
+        guess = None if options.guess == "random" else NearestSequences(options.candidates)
+        search = None if options.search == "adam" else options.gauss_newton()
+        return recognise(self.model, demonstration, config=options, ideas=Ideas(guess, search))
 
 
 def load_planner(name: str | Path, options: PlanOptions | None = None, *, device: "torch.device | None" = None) -> Planner:

@@ -15,11 +15,11 @@ from preimage.studio.table import Table
 
 WAYS: dict[Preset, str] = {
     "paper": "The paper: Adam from random intentions, nothing remembered, nothing corrected.",
-    "regression": "Network and search without memory: Gauss-Newton from the nearest training intentions.",
+    "regression": "Network and search without memory: Adam from the nearest training intentions, to stay at the goal.",
     "full": "All ideas: it begins where memory points to, and is corrected at the end.",
 }
 """What each preset does, for the page."""
-LATENT_AS_PAPER = " Of the paper it is the search alone, for this network's intention is latent."
+LATENT = " It is the search alone, for this network's intention is latent."
 
 
 class OpenedRun:
@@ -66,7 +66,7 @@ class OpenedRun:
 
     def way_of(self, preset: Preset) -> str:
         """What a preset does, in words."""
-        return WAYS[preset] + (LATENT_AS_PAPER if preset == "paper" and self.is_latent else "")
+        return WAYS[preset] + (LATENT if preset != "full" and self.is_latent else "")
 
     @cached_property
     def shown(self):
