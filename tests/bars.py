@@ -19,7 +19,7 @@ from preimage.records import Demonstration, Percept
 EXACT = PlanConfig(precision="float32")
 PAPER = PlanOptions(precision="float32")
 REGRESSION = replace(PlanOptions.regression(), precision="float32")
-SOLVED = replace(REGRESSION, search="gauss_newton", candidates=4, iterations=40, least_gain=0.005, drop_above=10.0, dimensions=32)
+SOLVED = replace(REGRESSION, search="gauss_newton", candidates=4, iterations=40, dimensions=32)
 FULL = replace(PlanOptions.full(), precision="float32", test_time_augmentation=0.0, tolerance=0.0)
 """The presets in the precision that tests compare in; of all ideas those are left out that blur what is compared."""
 

@@ -42,9 +42,9 @@ DAMPINGS = (0.03, 1.0, 30.0)
 LEADING = 8
 """Directions in which the Jacobian is measured anew."""
 BEHIND = 1.3
-"""A candidate whose error is more than this many times the lowest after an iteration is dropped, unless another bound is given."""
+"""A candidate whose error is more than this many times the lowest after an iteration is dropped."""
 WORTHWHILE = 0.2
-"""A step that lowers the error by less than this share of it is not worth another with the same Jacobian, unless another is given."""
+"""A step that lowers the error by less than this share of it is not worth another with the same Jacobian."""
 NEIGHBOURS = 100
 """Rollouts from which a first Jacobian is estimated: what is imagined from them has to be held at once."""
 
@@ -59,10 +59,6 @@ class GaussNewton:
     """How far each number is changed to see what it does, in standard deviations of the training intentions."""
     tolerance: float = 0.0
     """Share of the error of staying at the start at which the search ends: what is left is in single pixels."""
-    least_gain: float = WORTHWHILE
-    """A step that lowers the error by less than this share of it is not worth another with the same Jacobian."""
-    drop_above: float = BEHIND
-    """A candidate whose error is more than this many times the lowest after an iteration is dropped."""
     endings: Callable[[Problem], Float[Tensor, "N E"]] | None = None
     """How the training sequences end, in any numbers that change as they do; without, a first Jacobian is measured in all directions."""
 
@@ -88,10 +84,10 @@ class GaussNewton:
             tried = evaluate(steps_from(here, jacobian, cost).flatten(0, 1), problem, objective)
             there = better_of(here, tried)
             jacobian = broyden_update(jacobian, here, there)
-            near = there.error <= self.drop_above * there.error.min()
+            near = there.error <= BEHIND * there.error.min()
             here, jacobian = there[near], jacobian[near]
             lowest.append(here.error.min())
-            stale = bool(lowest[-1] > (1 - self.least_gain) * lowest[-2])
+            stale = bool(lowest[-1] > (1 - WORTHWHILE) * lowest[-2])
             if stale and fresh and lowest[-1] > tolerance:
                 stopped = Stopped.CONVERGED
                 break

@@ -79,10 +79,6 @@ class PlanOptions(PlanConfig):
     """Whether a goal given as a picture is charged for joints that do not go with such pictures in the memory."""
     tolerance: float = 0.0
     """Share of the error of staying at the start at which a search by gauss_newton ends."""
-    least_gain: float = 0.2
-    """gauss_newton ends where a step with a fresh Jacobian lowers the error by less than this share of it."""
-    drop_above: float = 1.3
-    """gauss_newton drops candidates whose error is more than this many times the lowest."""
     finite_difference_step: float = 0.15
     """How far gauss_newton changes each number to see what it does, in standard deviations."""
     test_time_augmentation: float = 0.0
@@ -97,8 +93,7 @@ class PlanOptions(PlanConfig):
         validate(
             self,
             at_least=dict.fromkeys(("tolerance", "test_time_augmentation"), 0),
-            above_zero=("finite_difference_step", "drop_above"),
-            shares=("least_gain",),
+            above_zero=("finite_difference_step",),
         )
         for name, known in {"search": ("adam", "gauss_newton"), "guess": ("random", "nearest", "kriged")}.items():
             if getattr(self, name) not in known:
@@ -145,7 +140,7 @@ class PlanOptions(PlanConfig):
         from preimage.ideas.gauss_newton import GaussNewton
 
         endings = None if memory is None else lambda problem: memory.about(problem).last_percepts
-        return GaussNewton(self.iterations, self.finite_difference_step, tolerance, self.least_gain, self.drop_above, endings)
+        return GaussNewton(self.iterations, self.finite_difference_step, tolerance, endings)
 
     def augmentation(self) -> "TestTimeAugmentation | None":
         from preimage.ideas.test_time_augmentation import TestTimeAugmentation
