@@ -139,6 +139,7 @@ def test_a_planner_plans_in_turn_and_imagines_without_a_goal(trained: PDVMRNN, m
         (PlanOptions, {"search": "gradient"}, r"search \(--search\) is gradient: give adam or gauss_newton"),
         (PlanOptions, {"guess": "near"}, r"guess \(--guess\) is near: give random or nearest or kriged"),
         (ModelConfig, {"intention_dimensions": 0}, r"intention_dimensions \(--intention-dimensions\) is 0: give 1(\.0)? or more"),
+        (TrainOptions, {"learning_rate": 1e308}, r"learning_rate \(--learning-rate\) is 1e\+308: give 1000000000 or less"),
         (ModelConfig, {"rate_hz": 1e-308}, r"rate_hz \(--rate-hz\) is 1e-308: give 0.2 to 1000 steps a second"),
     ],
 )

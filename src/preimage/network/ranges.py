@@ -7,7 +7,7 @@ from typing import Any
 from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
 
 MOST = 10**9
-"""Whole numbers beyond this are none that the work could end with."""
+"""Numbers beyond this are none that the work could end with."""
 MOST_HELD = 10**5
 """The same of numbers of things that are held in memory at once."""
 
@@ -38,6 +38,7 @@ def validate(
         _require(settings, name, lambda value, most=most: value <= most, f"{most} or less")
     for name in above_zero:
         _require(settings, name, lambda value: 0 < value < math.inf, "a number above 0")
+        _require(settings, name, lambda value: value <= MOST, f"{MOST} or less")
     for name in shares:
         _require(settings, name, lambda value: 0 <= value <= 1, "a share between 0 and 1")
     for name in rates:
