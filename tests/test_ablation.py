@@ -56,6 +56,7 @@ def test_the_sign_test_is_that_of_a_fair_coin(gained: int, lost: int, p: float) 
 def test_a_table_goes_on_row_by_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cells = [Cell("reach", num_demonstrations=4, size="tiny", updates=2, goals=2, seed=seed) for seed in (0, 1)]
     rows = [Variant("regression"), Variant("regression", "- hold at the goal", {"hold_goal": False}), Variant("full")]
+    rows += [Variant("regression", "+ kriged guess", {"guess": "kriged", "candidates": 1})]  # asks a memory, which regression does not
     monkeypatch.setattr(ablation, "variants_of", lambda cell: rows[:2])
     told: list[str] = []
     ablate(cells, work=tmp_path / "work", out=tmp_path, tell=told.append)
@@ -69,6 +70,7 @@ def test_a_table_goes_on_row_by_row(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     second = json.loads(file.read_text())
     assert {name: second["rows"][name] for name in first["rows"]} == first["rows"]
     assert "full" in second["rows"]
+    assert second["rows"]["regression + kriged guess"]["goals"] == 4
     assert "| reach | 4 | closed | regression - hold at the goal |" in ablation_table([second])
 
 

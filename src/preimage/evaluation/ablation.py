@@ -24,7 +24,7 @@ from preimage.evaluation.experiments import TELL, demonstrations_of, planner_of
 from preimage.evaluation.loops import Loop
 from preimage.evaluation.recipes import GRIPPING, TEST_GOALS, TEST_SEED, TRAINING_IDEAS, Cell, paper_of
 from preimage.method.learner import Progress
-from preimage.presets import Planner, PlanOptions, Preset, load_planner
+from preimage.presets import Planner, PlanOptions, Preset, load_memory, load_planner
 from preimage.records import Demonstration
 from preimage.robot import Arm, record
 from preimage.storage.atomic_write import write_json
@@ -63,7 +63,7 @@ class Variant:
 
     def learned(self, cell: Cell) -> Cell:
         """The training whose model it plans with."""
-        return replace(cell, preset=self.preset, without=self.without)
+        return replace(cell, preset=replace(cell, preset=self.preset).learns_as, without=self.without)
 
 
 def variants_of(cell: Cell) -> list[Variant]:
@@ -107,7 +107,8 @@ def ablate(
     def trained(cell: Cell) -> Planner:
         if cell.bundled:
             return load_planner(cell.task, device=place)
-        return planner_of(cell, demonstrations_of(cell, work, tell), place, work, tell, progress)
+        model = planner_of(cell, demonstrations_of(cell, work, tell), place, work, tell, progress).model
+        return Planner(model, load_memory(work / "runs" / cell.run, device=place))  # for the rows that ask it
 
     @cache
     def goals_of(cell: Cell) -> list[Demonstration]:
