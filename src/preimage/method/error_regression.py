@@ -38,8 +38,8 @@ def adam(problem: Problem, objective: Objective, guesses: Float[Tensor, "B K"]) 
     if config.iterations > config.screening:
         finalists = found.points[found.charged.argsort()[: config.finalists]]
         found = descend(problem, objective, finalists, config.iterations - config.screening)
-        lowest = lowest + found.lowest[1:]  # the finalists' first iterate is the best of the screening
-    return Regression(problem.space.intention(found.points), found.error, torch.stack(lowest), found.stopped)
+        lowest = lowest + found.lowest[1:]  # the finalists' first iterate is the best of the screening, but for a smaller batch's rounding
+    return Regression(problem.space.intention(found.points), found.error, torch.stack(lowest).cummin(0).values, found.stopped)
 
 
 def descend(problem: Problem, objective: Objective, guesses: Float[Tensor, "B K"], iterations: int) -> Descent:
