@@ -229,7 +229,7 @@ def timed_training(work: Work, device: torch.device, limits: dict[str, float], r
         "seq_steps_per_s": round(seq_steps / seconds, 1),
         "seq_steps_per_cpu_s": round(seq_steps / cpu_seconds, 1),
         "gflops": round(gflops, 1),
-        "fraction_of_limit": round(gflops / limit, 3),
+        "fraction_of_limit": float(f"{gflops / limit:.3g}"),  # of a small network on a busy machine, three decimals would be nothing
     }
     peak = peak_memory_mb(device)
     report(f"train {name}: {timed['seq_steps_per_s']} sequence steps a second, {timed['fraction_of_limit']:.0%} of the limit")
