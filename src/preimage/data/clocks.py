@@ -129,9 +129,9 @@ def rate_of(clock: Clock, where: str) -> float:
     """
     step_s, seconds = float(np.median(np.diff(clock.times_s))), SECONDS[unit_of(clock.name) or "s"]
     rate_hz = float(f"{1 / step_s:.4g}")  # clocks jitter: more digits would say what nobody measured
-    if LOWEST_RATE_HZ <= rate_hz <= HIGHEST_RATE_HZ:
+    if is_rate(rate_hz):
         return rate_hz
-    likely = [unit for unit in SECONDS if LOWEST_RATE_HZ <= seconds / (step_s * SECONDS[unit]) <= HIGHEST_RATE_HZ]
+    likely = [unit for unit in SECONDS if is_rate(seconds / (step_s * SECONDS[unit]))]
     guess = f"if it counts {IN_WORDS[likely[0]]}, call it time_{likely[0]}" if likely else "look at the unit"
     unit = IN_WORDS[unit_of(clock.name) or "s"]
     raise ValueError(f"{where} has {step_s:g} s a picture ({rate_hz:g} Hz), as {clock.name} is in {unit}: {guess}; {bounds()}")
