@@ -265,7 +265,8 @@ def test_a_job_that_is_asked_to_stop_ends_at_its_next_step():
 def test_a_job_to_which_nobody_listens_is_stopped(monkeypatch):
     monkeypatch.setattr(jobs, "GRACE_S", 0.05)
     job = jobs.Jobs().add("plan", forever)
-    until(lambda: job.state == "stopped")
+    until(lambda: job.ended)
+    assert (job.state, job.events[-1]["event"]) == ("stopped", "stopped")
 
 
 def test_a_job_whose_last_listener_leaves_is_stopped(monkeypatch):

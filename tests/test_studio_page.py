@@ -108,6 +108,7 @@ def test_a_point_is_dragged_in_the_plane_of_intentions_and_the_film_follows(brow
         page.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 3, steps=4)
         page.mouse.up()
         page.wait_for_function("before => document.getElementById('intention-words').textContent !== before", arg=before)
+        assert page.locator("#intention-film.shown").is_visible()
 
 
 def test_a_frame_of_a_demonstration_is_taken_as_the_goal(browser, address):
