@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from preimage.network.config import ModelConfig
 from preimage.presets.options import TrainOptions
-from preimage.storage.run_files import CALIBRATION, HELD_OUT, MEMORY
+from preimage.storage.run_files import HELD_OUT, MEMORY
 
 if TYPE_CHECKING:
     from preimage.compute.processes import ProcessGroup
@@ -26,7 +26,8 @@ def train(
     group: "ProcessGroup | None" = None,
     **more: Any,
 ) -> "PDVMRNN":
-    """Learn weights and intentions that regenerate the demonstrations (`method.train.train`); their memory is kept in the run folder.
+    """Learn weights and intentions that regenerate the demonstrations (`method.train.train`); their memory is kept in the run folder,
+    anew at every checkpoint.
 
     Args:
         config: how the network learns, with the ideas beyond the paper.
@@ -36,14 +37,18 @@ def train(
     from preimage.compute.processes import ProcessGroup
     from preimage.method.train import train as train_by_the_paper
     from preimage.storage.checkpoints import append_to_log
-    from preimage.storage.networks import load_model, write_tensors
+    from preimage.storage.networks import write_tensors
 
     config, group = config or TrainOptions(), group or ProcessGroup()
 
     def keep_memory(model: "PDVMRNN") -> None:
         if folder is not None and group.first:
             write_tensors(Path(folder) / MEMORY, remember(demonstrations, model).tensors())
-            (Path(folder) / CALIBRATION).unlink(missing_ok=True)  # it is of the weights before
+
+    def at_checkpoint(model: "PDVMRNN", update: int) -> None:
+        keep_memory(model)
+        if held_out:
+            look_at_held_out(model, update)
 
     def look_at_held_out(model: "PDVMRNN", update: int) -> None:
         from preimage.ideas.held_out_error import held_out_error
@@ -53,14 +58,9 @@ def train(
         line = {"update": update} | error | {"seconds": time.perf_counter() - began}
         append_to_log(Path(folder or ""), line, name=HELD_OUT)
 
-    more |= {"augmentations": config.augmentations(), "at_checkpoint": look_at_held_out if held_out else None}
-    try:
-        model = train_by_the_paper(demonstrations, model_config, config=config, folder=folder, group=group, **more)
-    except KeyboardInterrupt:
-        if folder is not None:
-            keep_memory(load_model(folder))
-        raise
-    keep_memory(model)
+    more |= {"augmentations": config.augmentations(), "at_checkpoint": at_checkpoint}
+    model = train_by_the_paper(demonstrations, model_config, config=config, folder=folder, group=group, **more)
+    keep_memory(model)  # a run that was killed after its last checkpoint, and goes on, has no other
     return model
 
 

@@ -22,7 +22,7 @@ from preimage.storage.hub import CARD
 from preimage.storage.locks import LOCK, locked
 from preimage.storage.networks import write_weights
 from preimage.storage.output_folders import LEFT_BY_OTHERS
-from preimage.storage.run_files import HELD_OUT, LOG, WEIGHTS
+from preimage.storage.run_files import CALIBRATION, HELD_OUT, LOG, WEIGHTS
 from preimage.storage.runs import NETWORK_KEYS, part_of, read_config, read_log, write_config, write_shown
 
 CHECKPOINT = "resume.pt"
@@ -189,9 +189,12 @@ def append_to_log(run: Path, line: Mapping[str, Any], *, name: str = LOG) -> Non
 def save_checkpoint(run: Path, learner: Resumable) -> None:
     """Save the weights, then what the training goes on from, which promises that they are there.
 
+    A calibration that is there is of the weights before, and is removed first.
+
     Raises:
         OSError: the disk is full or read-only; the former ones are kept.
     """
+    (run / CALIBRATION).unlink(missing_ok=True)
     write_weights(run, learner.model)
     with atomic_write(run / CHECKPOINT) as path:
         path.write_bytes(with_checksum_in_zip(saved_by_torch(learner.state())))
