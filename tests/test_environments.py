@@ -133,7 +133,8 @@ def test_the_reward_can_be_computed_again_for_any_goal(environment):
     hindsight = [compute_reward(one, one, info) for one, info in zip(achieved, infos, strict=True)]
     assert hindsight == [float(info["conditions_met"]) for info in infos]
     assert hindsight[-1] == 1
-    assert hindsight[0] == 0  # it moves
+    fastest = 1 + np.linalg.norm(np.diff(achieved, axis=0), axis=1).argmax()
+    assert hindsight[fastest] == 0  # it moves
 
 
 def test_what_is_rendered_is_the_frame_in_three_equal_channels():
