@@ -105,6 +105,15 @@ def test_a_memory_of_another_version_is_refused(run_folder: Path, tmp_path: Path
         load_memory(tmp_path / "run")
 
 
+@pytest.mark.parametrize("name", ["first_joints", "arrivals", "final_pictures", "event_joint"])
+def test_a_memory_of_other_numbers_than_were_written_is_refused(run_folder: Path, tmp_path: Path, name: str) -> None:
+    shutil.copytree(run_folder, tmp_path / "run")
+    kept = load_memory(run_folder).tensors()
+    write_tensors(tmp_path / "run" / MEMORY, {**kept, name: kept[name].double()})
+    with pytest.raises(ValueError, match=rf"\({name} is of torch.float64, and was written as torch\.\w+\): train again"):
+        load_memory(tmp_path / "run")
+
+
 def test_a_planner_plans_in_turn_and_imagines_without_a_goal(trained: PDVMRNN, memory: DemonstrationMemory) -> None:
     planner = Planner(trained, memory, replace(PlanOptions.full(), precision="float32", iterations=0))
     assert len(planner.plan_in_turn(goals=[bar(0.4).last, bar(0.8).last])) == 2

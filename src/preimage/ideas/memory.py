@@ -106,10 +106,10 @@ class DemonstrationMemory:
 
         Raises:
             KeyError, TypeError: a tensor is missing, or there is one too many.
-            ValueError: one of them has another shape than the others ask for.
+            ValueError: one of them has another shape than the others ask for, or is of another type than was written.
         """
         others = {name: value for name, value in tensors.items() if name != "event_joint"}
-        validate_shapes(others | {"event_joint": tensors["event_joint"]})
+        validate_tensors(others | {"event_joint": tensors["event_joint"]})
         return cls(**others, event_joint=int(tensors["event_joint"]))  # pyright: ignore[reportArgumentType]
 
     def to(self, device: torch.device) -> Self:
@@ -246,8 +246,8 @@ def views_of(memory: DemonstrationMemory, problem: Problem) -> list[View]:
     return [(rows[0], memory.endings(rows[1:], problem.config.modalities, coding, k)) for k, rows in enumerate(views)]
 
 
-def validate_shapes(tensors: Mapping[str, Tensor]) -> None:
-    """Raises ValueError where the tensors of a memory do not fit each other, KeyError where one is missing."""
+def validate_tensors(tensors: Mapping[str, Tensor]) -> None:
+    """Raises ValueError where the tensors of a memory do not fit each other or are of another type, KeyError where one is missing."""
     background, first_joints = tensors["background"], tensors["first_joints"]
     if background.ndim != 3 or first_joints.ndim != 2:
         raise ValueError(f"background and first_joints have the shapes {tuple(background.shape)} and {tuple(first_joints.shape)}")
@@ -261,6 +261,10 @@ def validate_shapes(tensors: Mapping[str, Tensor]) -> None:
     for name, shape in shapes.items():
         if tensors[name].shape != shape:
             raise ValueError(f"{name} has the shape {tuple(tensors[name].shape)}, and {tuple(shape)} fits the others")
+    types = {"final_pictures": torch.uint8, "event_joint": torch.int64}
+    for name, tensor in tensors.items():
+        if tensor.dtype != types.get(name, torch.float32):
+            raise ValueError(f"{name} is of {tensor.dtype}, and was written as {types.get(name, torch.float32)}")
 
 
 def begin_differently(memory: DemonstrationMemory, coding: JointCoding) -> bool:
