@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from bars import REGRESSION, SOLVED, bar
+from bars import REGRESSION, SOLVED, bar, objective_of, problem_to
 from preimage.ideas.test_time_augmentation import TestTimeAugmentation, shifted
+from preimage.method.plan import draft_of
 from preimage.network.coding import to_frames
 from preimage.network.inputs import as_inputs
 from preimage.network.pdvmrnn import PDVMRNN
@@ -56,6 +57,24 @@ def test_a_way_is_the_mean_of_what_is_imagined_from_all_looks(trained: PDVMRNN) 
     np.testing.assert_array_equal(mean.frames, alone[0].frames)
     assert np.abs(mean.joints - alone[0].joints).max() > 1e-4
     np.testing.assert_array_equal(mean.joints, mean.imagined_joints)
+
+
+def test_the_spread_is_that_of_what_is_imagined_from_all_looks(trained: PDVMRNN) -> None:
+    """Joints up to the arrival in shares of their ranges, pictures of the arrival in half ranges."""
+    problem = problem_to(trained, bar(0.3))
+    objective, intention = objective_of(problem), problem.space.intention(problem.space.training[:1])
+    together = TestTimeAugmentation(0.05)
+    draft = together(intention, problem, objective)
+    assert draft.spread is not None
+    assert draft.arrival > 0
+    looks = [replace(problem, start=(look, problem.start[1])) for look in together.looks(problem.start[0])]
+    alone = [draft_of(intention, look, objective) for look in looks]
+    ranges = trained.coding.upper - trained.coding.lower
+    joints = torch.stack([each.joints[: draft.arrival + 1] for each in alone]) / ranges
+    frames = torch.stack([each.generated.pixels[0, draft.arrival] for each in alone])
+    assert draft.spread.joints == pytest.approx(joints.var(0, unbiased=False).mean().sqrt().item(), rel=1e-3)
+    assert draft.spread.picture == pytest.approx(frames.var(0, unbiased=False).mean().item(), rel=1e-3)
+    assert alone[0].spread is None
 
 
 def test_what_the_search_has_imagined_is_not_imagined_again(trained: PDVMRNN, monkeypatch: pytest.MonkeyPatch) -> None:

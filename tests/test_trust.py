@@ -78,6 +78,16 @@ def test_all_evidence_has_words(planner: Planner) -> None:
     assert set(planner.assessment.evidence(planner.plan(goal=Percept(bar(0.5).last.frame)))) <= set(REASONS)
 
 
+def test_a_start_looked_at_from_all_sides_says_how_much_hangs_on_it(trained, memory) -> None:
+    evidence = []
+    for by in (1e-4, 0.03):
+        trust = Planner(trained, memory, replace(QUICK, test_time_augmentation=by)).plan(goal=Percept(bar(0.5).last.frame)).trust
+        assert trust is not None
+        evidence.append(trust.evidence)
+    little, more = evidence
+    assert all(little[name] < more[name] for name in ("spread_joints", "spread_picture"))
+
+
 def test_plans_without_memory_or_without_a_picture_have_less_evidence(trained, memory) -> None:
     bare = Planner(trained, None, replace(REGRESSION, iterations=1)).plan(goal=Percept(bar(0.5).last.frame)).trust
     felt = Planner(trained, memory, replace(QUICK, modalities="joints")).plan(goal=Percept(joints=bar(0.5).last.joints)).trust

@@ -1,7 +1,8 @@
 """Test-time augmentation: a plan's joints are the mean of what is imagined from the start frame and from the same moved a little.
 
 What a network makes of a picture that it never saw is a little off, and off otherwise where the picture lies a little elsewhere. Moved to
-all sides alike, it errs by as much to one side as to the other, so that the mean of all looks is nearer than one.
+all sides alike, it errs by as much to one side as to the other, so that the mean of all looks is nearer than one. How far apart they are
+says how sure it is.
 
 >>> dot = torch.zeros(1, 1, 4, 4)
 >>> dot[0, 0, 1, 1] = 1.0
@@ -20,6 +21,7 @@ from preimage.method.plan import draft_of
 from preimage.method.seam import Draft, Objective, Problem
 from preimage.network.intention import IntentionState
 from preimage.network.pdvmrnn import Generated
+from preimage.records import Spread
 
 
 def shifted(pictures: Float[Tensor, "B C H W"], by: Float[Tensor, "B 2"]) -> Float[Tensor, "B C H W"]:
@@ -55,5 +57,9 @@ class TestTimeAugmentation:
         start, rows = (moved, problem.start[1].expand(len(moved), -1, -1)), torch.zeros(len(moved), dtype=torch.long)
         others = model.generate_closed_loop(intention[rows], start, num_steps=problem.num_steps, dtype=problem.dtype)
         log_codes = torch.cat([draft.generated.log_codes, others.log_codes])
-        joints = model.coding.decode(log_codes.exp()).double().mean(0)
-        return replace(draft, joints=joints, imagined=joints)
+        looks = model.coding.decode(log_codes.exp()).double()
+        shares = looks[:, : draft.arrival + 1] / (model.coding.upper - model.coding.lower)
+        pictures = torch.cat([draft.generated.pixels, others.pixels])[:, draft.arrival].float()
+        spread = Spread(*(float(each.var(0, unbiased=False).mean()) for each in (shares, pictures)))
+        joints = looks.mean(0)
+        return replace(draft, joints=joints, imagined=joints, spread=replace(spread, joints=spread.joints**0.5))

@@ -27,7 +27,7 @@ from preimage.network.coding import to_frames
 from preimage.network.inputs import as_inputs, home
 from preimage.network.intention import IntentionSpace, IntentionState
 from preimage.network.pdvmrnn import PDVMRNN, Generated, Sensed
-from preimage.records import Percept, Plan, Stopped
+from preimage.records import Percept, Plan, Spread, Stopped
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +198,8 @@ class Draft:
     """The joints as the network imagines them, before anything was corrected."""
     expected: Float[Tensor, "M J"] | None = None
     """Joints that are known from elsewhere, on the way and, last, at the goal."""
+    spread: Spread | None = None
+    """How far what is imagined changes with the start frame, where that was looked at."""
 
     def plan(self, problem: Problem, *, start: Percept, goal: Percept, errors: np.ndarray, stopped: Stopped, seconds: float) -> Plan:
         """The record that leaves the method."""
@@ -217,6 +219,7 @@ class Draft:
             seconds=seconds,
             imagined_joints=self.imagined.cpu().numpy(),
             expected_joints=None if self.expected is None else self.expected.double().cpu().numpy(),
+            spread=self.spread,
         )
 
 
