@@ -130,4 +130,5 @@ def lines_of(result: dict[str, Any]) -> list[str]:
     ]
     lines += [f"{kind:22s} {of_refused(one)}" for kind, one in result["refused"].items()]
     lines += [f"area under the ROC, by {name}: {area:.3f}" for name, area in result["roc_area"].items()]
-    return [*lines, f"expected calibration error {result['calibration_error']:.3f}"]
+    error, by_chance = result["calibration_error"], result["calibration_error_by_chance"]
+    return [*lines, f"expected calibration error {error:.3f} ({by_chance:.3f} by chance alone, with so few goals)"]

@@ -30,7 +30,7 @@ AREA, RIM = "area", "rim"
 PRACTICE_SHARE = 4
 """For so many goals of the area there is one impossible picture to calibrate by."""
 NUM_BINS = 10
-"""Bins of the reliability diagram, each of as many goals."""
+"""Bins of the reliability diagram, of equal width."""
 SAME_JOINTS_SHARE = 0.05
 """Where nothing can be executed, a plan has reached a recording if its last joints are, on average, nearer to it than so much of the
 joints' ranges."""
@@ -202,6 +202,7 @@ def result_of_trust(assessed: Sequence[Assessed], shown: Sequence[Shown], about:
         "roc_area": {name: rounded(roc_area(values, reached)) for name, values in scores.items()},
         "roc_area_interval": {name: bootstrap(values, reached) for name, values in scores.items()},
         "calibration_error": rounded(calibration_error(probable, reached)),
+        "calibration_error_by_chance": rounded(error_by_chance(probable)),
         "mean_probability": rounded(float(probable.mean())),
         "refused": {kind: refusals([one for one in assessed if one.kind == kind]) for kind in kinds},
         "falsely_refused": refusals([one for one in possible if one.kind == AREA]),
@@ -271,6 +272,16 @@ def reliability(probability: Float[np.ndarray, " N"], reached: Bool[np.ndarray, 
 def calibration_error(probability: Float[np.ndarray, " N"], reached: Bool[np.ndarray, " N"]) -> float:
     """The expected calibration error: mean difference of probability and share reached over the bins, each by its number of goals."""
     return sum(number * abs(mean - rate) for mean, rate, number in reliability(probability, reached)) / len(probability)
+
+
+def error_by_chance(probability: Float[np.ndarray, " N"], *, draws: int = 1000) -> float:
+    """The calibration error, on average, where every goal is reached exactly as likely as was said: so much the number of goals alone does.
+
+    >>> error_by_chance(np.full(20, 0.8)) > 0.05 > 0.02 > error_by_chance(np.full(2000, 0.8)) > error_by_chance(np.ones(20))
+    True
+    """
+    rng = np.random.default_rng(0)
+    return float(np.mean([calibration_error(probability, rng.random(len(probability)) < probability) for _ in range(draws)]))
 
 
 def rounded(value: float) -> float:

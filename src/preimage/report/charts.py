@@ -86,7 +86,7 @@ def trust_chart(result: Mapping[str, Any], path: str | os.PathLike[str]) -> Path
     for number in np.unique(bins):
         chosen = bins == number
         size = 18 + 4 * chosen.sum()
-        diagram.scatter(probable[chosen].mean(), reached[chosen].mean(), s=size, color=RANKED_BY["trust"], alpha=0.7)
+        diagram.scatter(probable[chosen].mean(), reached[chosen].mean(), s=size, color=RANKED_BY["trust"], alpha=0.7, clip_on=False)
     for name, colour in RANKED_BY.items():
         ordered = reached[np.argsort([-row[name] for row in rows], kind="stable")]
         hits, misses = (np.concatenate([[0], np.cumsum(each) / max(1, each.sum())]) for each in (ordered, ~ordered))
