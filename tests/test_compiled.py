@@ -1,6 +1,8 @@
 """The compiled loop is the network's own: the same values and gradients as torch's step gives, in every shape that is served."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import replace
@@ -11,13 +13,16 @@ import torch
 from torch import Tensor
 
 from changes import apart, learning_nothing
+from preimage.data.lerobot_writer import write_files
 from preimage.fast import closed_loop_engine, serves
 from preimage.method.train import TrainConfig, train
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN, Generated, imagined
+from preimage.storage.run_files import WEIGHTS
 from shared import make_demonstration
 
 pytest.importorskip("numba")
+from preimage.fast.ahead import compile_ahead
 from preimage.fast.bfloat16 import is_compiled
 from preimage.fast.convolution import can_cache, forget_outdated
 
@@ -195,6 +200,31 @@ def test_once_the_loops_are_compiled_neither_plans_nor_training_compile_more() -
             with torch.no_grad():
                 compiled(model, start_of(model, 3), dtype)
     assert [*go_forward.signatures, *go_backward.signatures] == compiled_for
+
+
+def test_the_first_training_on_a_machine_gives_the_weights_of_the_second(tmp_path: Path) -> None:
+    """Where nothing was compiled yet, in a cache of its own; code just compiled rounds otherwise than the same read from there."""
+    data = tmp_path / "data"
+    data.mkdir()
+    write_files([make_demonstration(seed, size=(16, 16, 1)) for seed in range(3)], data, task="move")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "OMP_NUM_THREADS": "1"}
+    words = [sys.executable, "-m", "preimage", "train", str(data), "--size", "tiny", "--updates", "3", "--precision", "float32", "--out"]
+    for name in ("first", "second"):
+        subprocess.run([*words, str(tmp_path / name)], env=environment, check=True, capture_output=True)
+    first, second = ((tmp_path / name / WEIGHTS).read_bytes() for name in ("first", "second"))
+    assert first == second
+    assert list((tmp_path / "cache").rglob("compiled-*"))
+
+
+def test_what_was_compiled_is_not_compiled_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[object] = []
+    monkeypatch.setattr("subprocess.run", lambda words, **more: started.append(words))
+    monkeypatch.setattr("preimage.fast.ahead.mark", lambda: Path(__file__))
+    compile_ahead.__wrapped__()
+    assert not started
+    monkeypatch.setattr("preimage.fast.ahead.mark", lambda: Path(__file__).with_name("not there"))
+    compile_ahead.__wrapped__()
+    assert started == [[sys.executable, "-m", "preimage.fast"]]
 
 
 def test_where_no_folder_can_be_written_to_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,8 +39,10 @@ def closed_loop_engine(
     """The compiled loop as an `Engine`; it computes in the precision asked for, or in that of the weights, which is more."""
     if not serves(model, start, dtype):
         return None
+    from preimage.fast.ahead import compile_ahead
     from preimage.fast.loop import closed_loop
 
+    compile_ahead()
     return closed_loop(model, states, start, num_steps=num_steps, narrow=is_narrow(model, dtype))
 
 
