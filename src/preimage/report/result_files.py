@@ -84,7 +84,7 @@ TRUST = {
     "roc_area": {"*": Number},
     "roc_area_interval": {"*": Pair},
     "calibration_error": Number,
-    "calibration_error_by_chance?": Number,
+    "calibration_error_by_chance": Number,
     "falsely_refused": REFUSED,
     "refused_on_rim": REFUSED,
     "refused": {"*": REFUSED},

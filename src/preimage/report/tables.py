@@ -139,7 +139,7 @@ def trust_table(found: Results) -> str:
             reached = [counted(one["success"][kind]) for kind in ("area", "rim")]
             areas = [f"{one['roc_area'][name]:.3f} ({'–'.join(f'{end:.2f}' for end in one['roc_area_interval'][name])})" for name in RANKS]
             refused = [of_refused(one[name]) for name in ("falsely_refused", "refused_on_rim")]
-            errors = [f"{one[name]:.3f}" if name in one else "" for name in ("calibration_error", "calibration_error_by_chance")]
+            errors = [f"{one[name]:.3f}" for name in ("calibration_error", "calibration_error_by_chance")]
             rows.append([one["model"], f"{one['seed']}", *reached, *areas, *errors, *refused])
     head = ["model", "test seed", "reached, demonstrated area", "reached, rim", *(f"area under the ROC, {name}" for name in RANKS)]
     return table(
