@@ -63,7 +63,8 @@ class Variant:
 
     def learned(self, cell: Cell) -> Cell:
         """The training whose model it plans with."""
-        return replace(cell, preset=replace(cell, preset=self.preset).learns_as, without=self.without)
+        asked = replace(cell, preset=self.preset, without=self.without)
+        return replace(asked, preset=asked.learns_as)
 
 
 def variants_of(cell: Cell) -> list[Variant]:

@@ -13,7 +13,7 @@ from preimage.network.pdvmrnn import PDVMRNN
 def compile_loops() -> None:
     """Both passes of the loop in float32, and in bfloat16 where that is compiled; a file beside the cache says that it was done."""
     from preimage.fast.ahead import mark
-    from preimage.fast.convolution import can_cache
+    from preimage.fast.convolution import OPTIONS
     from preimage.fast.loop import closed_loop
 
     model = PDVMRNN(ModelConfig.tiny(), Sensors(16, 16, 1, ("joint",), (-1.0,), (1.0,)))
@@ -22,7 +22,7 @@ def compile_loops() -> None:
     for narrow in {False, fast.is_narrow(model, torch.bfloat16)}:
         pixels, log_codes = closed_loop(model, states, start, num_steps=1, narrow=narrow)
         (pixels.sum() + log_codes.sum()).backward(retain_graph=True)
-    if can_cache():
+    if OPTIONS["cache"]:
         mark().touch()
 
 

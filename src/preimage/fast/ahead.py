@@ -17,7 +17,7 @@ import numba
 from llvmlite import binding
 
 from preimage.fast.compiled import go_forward
-from preimage.fast.convolution import can_cache
+from preimage.fast.convolution import OPTIONS
 
 SOURCES = Path(__file__).parent
 
@@ -25,7 +25,7 @@ SOURCES = Path(__file__).parent
 @cache
 def compile_ahead() -> None:
     """Have the loops compiled and cached, where they are not; where that cannot be, the first call compiles them here."""
-    if not can_cache() or mark().exists():
+    if not OPTIONS["cache"] or mark().exists():
         return
     found_at = os.pathsep.join([str(SOURCES.parents[1]), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
     environment = {**os.environ, "PYTHONPATH": found_at}
@@ -36,5 +36,5 @@ def mark() -> Path:
     """The file that says that these sources were compiled by this numba for this processor."""
     processor = os.environ.get("NUMBA_CPU_NAME", binding.get_host_cpu_name()), os.environ.get("NUMBA_CPU_FEATURES", "")
     told = [numba.__version__, platform.python_version(), *processor]
-    told += [path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.py"))]
+    told += [f"{path.name} {path.stat().st_mtime} {path.stat().st_size}" for path in sorted(SOURCES.glob("*.py"))]  # as numba knows them
     return Path(str(go_forward.stats.cache_path)) / f"compiled-{hashlib.sha256(repr(told).encode()).hexdigest()[:16]}"
