@@ -11,6 +11,7 @@ import pytest
 from planar_arm import seen_from_above
 from preimage.cli import main
 from preimage.examination import Examination, Kind, Severity, examine
+from preimage.examination.seen import largest_blob
 from preimage.examination.timing import BLUNT_S
 from preimage.examination.viewpoint import find_shift
 from preimage.records import Description, Episode
@@ -216,6 +217,21 @@ def test_degrees_are_as_good_as_radians():
 def test_a_shift_of_the_camera_is_measured(shift):
     before, after = room().astype(np.float32), room(shift).astype(np.float32)
     assert find_shift(before, after, np.ones(SIZE, bool)) == shift
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 1.0])
+def test_the_largest_patch_is_the_largest_that_a_flood_fills(share):
+    rng = np.random.default_rng(0)
+    for mask in (rng.random(rng.integers(1, 12, 2)) < share for _ in range(50)):
+        left, sizes = {*zip(*np.nonzero(mask), strict=True)}, [0]
+        while left:
+            reached = [left.pop()]
+            for row, column in reached:
+                beside = {(row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)} & left
+                left -= beside
+                reached += beside
+            sizes.append(len(reached))
+        assert largest_blob(mask) == max(sizes)
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (1, 0), (0, -1)])

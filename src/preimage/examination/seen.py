@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from preimage.data.view import LONGEST, moving
 from preimage.network.config import ModelConfig
@@ -193,10 +193,16 @@ def largest_blob(mask: Bool[np.ndarray, "h w"]) -> int:
     >>> largest_blob(np.array([[True, True, False], [False, False, True], [False, False, True]]))
     2
     """
-    labels = np.where(mask, np.arange(1, mask.size + 1).reshape(mask.shape), 0)
+    labels = np.pad(np.where(mask, np.arange(1, mask.size + 1).reshape(mask.shape), 0), (0, 1))  # no run goes on in the next row
     while True:
-        spread = np.pad(labels, 1)
-        spread = np.max([spread[1:-1, 1:-1], spread[:-2, 1:-1], spread[2:, 1:-1], spread[1:-1, :-2], spread[1:-1, 2:]], axis=0) * mask
+        spread = _along_runs(_along_runs(labels).T).T
         if np.array_equal(spread, labels):
-            return int(np.bincount(labels[mask]).max()) if mask.any() else 0
+            return int(np.bincount(labels[labels > 0]).max(initial=0))
         labels = spread
+
+
+def _along_runs(labels: Int[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
+    """The greatest label of each run of labels in a row, all along it."""
+    flat = labels.ravel()
+    starts = np.flatnonzero(np.diff(flat > 0, prepend=flat[0] == 0))
+    return np.repeat(np.maximum.reduceat(flat, starts), np.diff(starts, append=flat.size)).reshape(labels.shape)
