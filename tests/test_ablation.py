@@ -30,12 +30,6 @@ def test_every_idea_that_full_has_over_regression_is_switched_by_one_row_each_wa
     assert len({one.name for one in variants}) == len(variants)
 
 
-def test_a_search_of_its_own_is_a_row_of_its_task() -> None:
-    rows = {task: [one for one in variants_of(Cell(task)) if one.idea == "- dear intention"] for task in ("two-points", "reach")}
-    assert [options_of(one).intention_cost for one in rows["two-points"]] == [PlanOptions.regression().intention_cost]
-    assert not rows["reach"]
-
-
 def test_an_idea_of_training_is_left_out_of_the_training_alone() -> None:
     with_it, without = (Cell("reach", 25, without=idea) for idea in ("", "mixup"))
     assert learning_of(with_it).mixup > 0 == learning_of(without).mixup

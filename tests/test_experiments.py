@@ -5,7 +5,6 @@ import multiprocessing
 import shutil
 import time
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from preimage.evaluation.experiments import goals_of, principal_plane, rank_corr
 from preimage.evaluation.recipes import GRIPPING, Cell, cells_of, learning_of, network_of
 from preimage.network.config import ModelConfig, Sensors
 from preimage.network.pdvmrnn import PDVMRNN
-from preimage.presets import PRESETS, SIZES, PlanOptions, Preset, TrainOptions
+from preimage.presets import SIZES, Preset, TrainOptions
 from preimage.records import Demonstration
 from preimage.report.results import fill_readme, write_results
 from preimage.robot import TASKS
@@ -81,14 +80,6 @@ def test_the_paper_is_trained_with_its_network_and_with_no_idea() -> None:
 def test_updates_that_are_asked_for_stand_above_the_recipe() -> None:
     assert learning_of(Cell("two-points", updates=7)).updates == 7
     assert learning_of(Cell("two-points")).updates != TrainOptions().updates
-
-
-def test_an_intention_is_dearer_where_regression_might_lead_by_what_lay_elsewhere() -> None:
-    for task, preset in product(TASKS, PRESETS):
-        usual = PlanOptions.of(preset)
-        dearer = Cell(task, preset=preset).options.intention_cost > usual.intention_cost
-        assert dearer == ((task, preset) == ("two-points", "regression"))
-        assert replace(Cell(task, preset=preset).options, intention_cost=usual.intention_cost) == usual
 
 
 @pytest.mark.slow

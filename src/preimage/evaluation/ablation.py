@@ -22,7 +22,7 @@ from preimage.compute.devices import CPU
 from preimage.evaluation.evaluate import carry_out, goal_of, share
 from preimage.evaluation.experiments import TELL, demonstrations_of, planner_of
 from preimage.evaluation.loops import Loop
-from preimage.evaluation.recipes import GRIPPING, SEARCHING, TEST_GOALS, TEST_SEED, TRAINING_IDEAS, Cell, paper_of
+from preimage.evaluation.recipes import GRIPPING, TEST_GOALS, TEST_SEED, TRAINING_IDEAS, Cell, paper_of
 from preimage.method.learner import Progress
 from preimage.presets import Planner, PlanOptions, Preset, load_memory, load_planner
 from preimage.records import Demonstration
@@ -76,8 +76,6 @@ def variants_of(cell: Cell) -> list[Variant]:
     variants += [Variant("full", "- hold at the goal", unheld), Variant("regression")]
     variants += [Variant("regression", f"+ {idea}", options_of(FULL, fields)) for idea, fields in ideas.items()]
     variants += [Variant("regression", "- hold at the goal", unheld), Variant("regression", "- nearest guess", options_of(PAPER, NEAREST))]
-    if cell.task in SEARCHING:
-        variants.append(Variant("regression", "- dear intention", options_of(REGRESSION, tuple(SEARCHING[cell.task]))))
     if cell.bundled:
         return variants
     made_for = [idea for idea, tasks in TRAINING_IDEAS.items() if (cell.task, cell.num_demonstrations) in tasks]
@@ -143,8 +141,7 @@ def about_of(cells: Sequence[Cell], loop: Loop, place: torch.device) -> dict[str
 
 def rows_of(cell: Cell, variant: Variant, loop: Loop, trained: Planner, goals: Sequence[Demonstration], tell: TELL) -> list[dict[str, Any]]:
     """What became of each of a cell's goals."""
-    options = replace(replace(cell, preset=variant.preset).options, **variant.options)
-    planner = Planner(trained.model, trained.memory, options)
+    planner = Planner(trained.model, trained.memory, replace(PlanOptions.of(variant.preset), **variant.options))
     arm, began, rows = Arm(), time.perf_counter(), list[dict[str, Any]]()
     for goal, demonstration in enumerate(goals):
         found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner))

@@ -24,7 +24,7 @@ from preimage.evaluation.loops import Loop
 from preimage.evaluation.recipes import MODALITIES_SEED, RECOGNITION_SEED, TEST_GOALS, TEST_SEED, Cell, learning_of, network_of, paper_of
 from preimage.method.learner import Progress
 from preimage.network.config import ModelConfig
-from preimage.presets import Planner, TrainOptions, load_planner, train
+from preimage.presets import Planner, PlanOptions, TrainOptions, load_planner, train
 from preimage.records import Demonstration, number_of
 from preimage.robot import Arm, record
 from preimage.storage.atomic_write import write_json
@@ -94,7 +94,7 @@ def planner_of(
     progress: Callable[[Progress], None] | None,
 ) -> Planner:
     """The cell's trained model, planning by its preset; a training that was stopped goes on."""
-    run, options = work / "runs" / cell.run, cell.options
+    run, options = work / "runs" / cell.run, PlanOptions.of(cell.preset)
     network, config = network_of(cell), learning_of(cell)
     config = replace(config, precision=resolve_precision(config.precision, place))
     finished, begun = (run / "README.md").exists(), (run / "resume.pt").exists()

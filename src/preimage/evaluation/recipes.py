@@ -9,7 +9,7 @@ from typing import Any
 
 from preimage.evaluation.loops import Loop
 from preimage.network.config import ModelConfig
-from preimage.presets import PlanOptions, Preset, TrainOptions, network_config
+from preimage.presets import Preset, TrainOptions, network_config
 from preimage.robot import TASKS, Task, with_frames
 
 TEST_GOALS = {"reach": 40, "two-points": 40, "move-object": 50, "two-circles": 50}
@@ -37,9 +37,6 @@ LEARNING: dict[str, dict[str, Any]] = {
     "two-circles": {"updates": 1300},
 }
 """How a task is learned, where that differs from `TrainOptions`."""
-SEARCHING: dict[str, dict[str, Any]] = {"two-points": {"intention_cost": 0.1}}
-"""How regression searches where most of a scene can be seen at the start: a training intention also holds where things lay in its
-demonstration, and the search leads by there unless it pays for all that the goal does not ask for."""
 FEW: dict[int, dict[str, Any]] = {50: {"mixup": 0.5}, 25: {"mixup": 0.5, "mixup_arity": 4, "mixup_extrapolation": 1.8}}
 """How reaching is learned from fewer than 100 demonstrations: what lies between them, and around them, has to be learned."""
 TRAINING_IDEAS: dict[str, tuple[tuple[str, int], ...]] = {
@@ -90,11 +87,6 @@ class Cell:
         if self.preset == "regression":
             return "full" if self.task in GRIPPING else "paper"
         return self.preset
-
-    @property
-    def options(self) -> PlanOptions:
-        """How its plans are searched for."""
-        return replace(PlanOptions.of(self.preset), **SEARCHING.get(self.task, {}) if self.preset == "regression" else {})
 
     def _named(self, preset: str) -> str:
         without = f"-without-{self.without}" if self.without else ""
