@@ -183,7 +183,7 @@ def assert_read_right(folder: Path, names: tuple[str, ...] = ("shoulder", "elbow
         assert np.abs(one.frames.astype(int) - frames).mean() < 4
 
 
-def refused_alike(folder: Path, sentence: str, **which) -> None:
+def assert_refused_alike(folder: Path, sentence: str, **which) -> None:
     """`train` gives the sentence; `check` gives it too, or finds it at least."""
     with pytest.raises(ValueError, match=sentence):
         open_recordings(folder, **which)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planar_arm import EIGHT, NAMES, checked, recorded, refused_alike, write_v2, write_v3
+from planar_arm import EIGHT, NAMES, assert_refused_alike, checked, recorded, write_v2, write_v3
 from preimage.data.angles import find_wraps, unwrapped
 from preimage.data.dataset import load, open_recordings
 from preimage.data.view import View
@@ -87,7 +87,7 @@ def test_an_angle_that_nothing_can_unwrap_is_refused(tmp_path):
         return np.c_[(rng.uniform(0, 360) + np.linspace(0, 420, len(joints))) % 360, np.rad2deg(joints[:, 1])]
 
     folder = write_v3(tmp_path / "data", [(frames, anywhere(joints)) for frames, joints in recorded(24)])
-    refused_alike(folder, "shoulder starts and turns all the way round, .*: leave it out by --view.joints elbow")
+    assert_refused_alike(folder, "shoulder starts and turns all the way round, .*: leave it out by --view.joints elbow")
     assert load(folder, view=View(joints=("elbow",)))[0].joint_names == ("elbow",)
 
 

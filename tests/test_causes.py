@@ -13,10 +13,10 @@ from planar_arm import (
     TOP,
     as_table,
     assert_read_right,
+    assert_refused_alike,
     checked,
     encoded,
     into_videos,
-    refused_alike,
     write_plain,
     write_v2,
     write_v3,
@@ -36,7 +36,7 @@ def test_a_git_lfs_pointer_is_called_so(tmp_path, version):
     }[version](tmp_path / "data")
     for path in (*folder.rglob("*.parquet"), *folder.rglob("*.mp4"), *folder.rglob("*.png")):
         path.write_text(f"version https://git-lfs.github.com/spec/v1\noid sha256:{'7' * 64}\nsize 12345\n")
-    refused_alike(folder, "is a Git LFS pointer, .*git lfs pull")
+    assert_refused_alike(folder, "is a Git LFS pointer, .*git lfs pull")
 
 
 @pytest.mark.parametrize("separator", [";", "\t", ","])
@@ -50,7 +50,7 @@ def test_the_table_of_a_spreadsheet_is_read(tmp_path, separator, decimal, encodi
 
 def test_decimal_commas_between_commas_are_told(tmp_path):
     folder = write_plain(tmp_path / "data", lambda _: "shoulder,elbow\n0,5,1,2\n")
-    refused_alike(folder, "row 1 has 4 columns, the head 2: .*where commas stand before decimals, semicolons have to separate")
+    assert_refused_alike(folder, "row 1 has 4 columns, the head 2: .*where commas stand before decimals, semicolons have to separate")
 
 
 @pytest.mark.parametrize("suffix", [".bmp", ".webp", ".tiff", ".jpg"])
@@ -64,7 +64,7 @@ def test_pictures_in_a_subfolder_are_told(tmp_path):
         (take / "images").mkdir()
         for path in list(take.glob("*.png")):
             path.rename(take / "images" / path.name)
-    refused_alike(folder, "take 0 has no picture beside joints.csv \\(there is a folder images with 20\\)")
+    assert_refused_alike(folder, "take 0 has no picture beside joints.csv \\(there is a folder images with 20\\)")
     faults = " ".join(finding.what for finding in checked(folder).findings)
     assert "take 0 has no picture beside joints.csv (there is a folder images with 20)" in faults
 
@@ -97,7 +97,7 @@ def test_pictures_by_path_are_read_or_named(tmp_path, there):
     if there:
         assert_read_right(folder)
     else:
-        refused_alike(folder, "has no picture: the table names a file \\(images/.*\\) instead of holding the picture")
+        assert_refused_alike(folder, "has no picture: the table names a file \\(images/.*\\) instead of holding the picture")
 
 
 def test_a_picture_outside_of_the_folder_is_not_read(tmp_path):
@@ -109,7 +109,7 @@ def test_a_picture_outside_of_the_folder_is_not_read(tmp_path):
             for row in rows:
                 row[TOP] = {"bytes": None, "path": name}
             write_rows(path, rows)
-        refused_alike(folder, "only files in the folder of the data set are read")
+        assert_refused_alike(folder, "only files in the folder of the data set are read")
 
 
 ROWS = {
@@ -144,7 +144,7 @@ def test_true_and_false_are_one_and_nothing(tmp_path):
     ],
 )
 def test_what_is_no_number_is_named_with_its_column(tmp_path, table, sentence):
-    refused_alike(write_plain(tmp_path / "data", table), sentence)
+    assert_refused_alike(write_plain(tmp_path / "data", table), sentence)
 
 
 def test_where_the_data_set_lies_instead_is_told(tmp_path):
@@ -168,7 +168,7 @@ def test_frames_that_are_a_multiple_of_the_rows_say_so(tmp_path, times, words):
     for number, (frames, _) in enumerate(EIGHT):
         shown = [frames[step] for step in np.arange(0, len(frames), 1 / times).astype(int)]
         write_video(folder / f"videos/chunk-000/{TOP}/episode_{number:06d}.mp4", shown)
-    refused_alike(folder, words)
+    assert_refused_alike(folder, words)
     assert words in " ".join(finding.what for finding in checked(folder).findings)
 
 
@@ -187,7 +187,7 @@ def test_a_table_under_another_name_is_named(tmp_path):
     folder = write_plain(tmp_path / "data")
     for path in folder.glob("*/joints.csv"):
         path.rename(path.with_name("Joints.csv"))
-    refused_alike(folder, "a table of joints is called joints.csv, and .*take 0/Joints.csv is not")
+    assert_refused_alike(folder, "a table of joints is called joints.csv, and .*take 0/Joints.csv is not")
 
 
 def test_quotes_and_blanks_about_numbers_are_no_part_of_them(tmp_path):
@@ -204,7 +204,7 @@ def test_a_joint_of_which_nothing_was_recorded_is_left_out(tmp_path):
     assert open_recordings(folder).summary[-1] == "2 of 3 joints: shoulder, elbow; left out, for nothing was recorded of it: spare"
     assert "spare holds no number anywhere; training leaves it out" in [each.what for each in checked(folder).findings]
     episodes[3][1][5, 2] = 0.0
-    refused_alike(write_v2(tmp_path / "other", episodes, names=[*NAMES, "spare"]), "joints holds nan")
+    assert_refused_alike(write_v2(tmp_path / "other", episodes, names=[*NAMES, "spare"]), "joints holds nan")
 
 
 def test_leaving_out_all_episodes_is_no_help(tmp_path):
@@ -218,7 +218,7 @@ def test_leaving_out_all_episodes_is_no_help(tmp_path):
 def test_what_is_no_position_is_not_offered_as_a_joint(tmp_path):
     episodes = [(frames, np.column_stack([joints, 0.3 * joints[:, 0], np.full(len(joints), 0.1)])) for frames, joints in EIGHT]
     folder = write_v2(tmp_path / "data", episodes, names=[*NAMES, "effort_0", "effort_1"])
-    refused_alike(folder, "leave it out by --view.joints shoulder elbow, or name")
+    assert_refused_alike(folder, "leave it out by --view.joints shoulder elbow, or name")
 
 
 @pytest.mark.parametrize(
@@ -232,7 +232,7 @@ def test_what_is_no_position_is_not_offered_as_a_joint(tmp_path):
 def test_recordings_of_another_kind_are_called_so(tmp_path, path, kind):
     (tmp_path / "data" / path).parent.mkdir(parents=True)
     (tmp_path / "data" / path).write_bytes(b"x")
-    refused_alike(tmp_path / "data", f"convert its {kind} files to a LeRobot data set")
+    assert_refused_alike(tmp_path / "data", f"convert its {kind} files to a LeRobot data set")
 
 
 def test_rows_that_lack_a_number_in_every_episode_are_to_be_taken_out(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from planar_arm import EIGHT, INFO, NAMES, as_table, assert_read_right, checked, kinds, refused_alike, write_plain, write_v2
+from planar_arm import EIGHT, INFO, NAMES, as_table, assert_read_right, assert_refused_alike, checked, kinds, write_plain, write_v2
 from preimage.data.clocks import find_clock, unit_that_agrees
 from preimage.data.dataset import load, open_recordings, read_episodes
 from preimage.data.view import View
@@ -61,7 +61,7 @@ def test_a_clock_without_a_unit_counts_in_that_which_agrees_with_the_rate(tmp_pa
 def test_a_rate_that_no_robot_has_is_refused_with_the_unit_to_check(tmp_path, unit, count, name):
     table = as_table([name, *NAMES], lambda step, joints: [17 + count * step, *joints])
     short = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}[unit]
-    refused_alike(
+    assert_refused_alike(
         write_plain(tmp_path / "data", table, rate=None, episodes=EIGHT[:1]),
         f"as {name} is in seconds: if it counts {unit}, call it time_{short}",
     )
@@ -69,12 +69,12 @@ def test_a_rate_that_no_robot_has_is_refused_with_the_unit_to_check(tmp_path, un
 
 @pytest.mark.parametrize("rate", ["0.01", "33333", "0", "-10", "nan", "fast"])
 def test_a_rate_outside_of_what_robots_have_is_refused(tmp_path, rate):
-    refused_alike(
+    assert_refused_alike(
         write_plain(tmp_path / "data", rate=rate), "it should hold the number of pictures a second \\(rates are 0.2 to 1000 Hz\\)"
     )
     folder = write_v2(tmp_path / "lerobot", EIGHT[:1])
     edit_json(folder / INFO, lambda info: info.update(fps=float(rate) if rate != "fast" else rate))
-    refused_alike(folder, "it should be the number of steps a second; rates are 0.2 to 1000 Hz")
+    assert_refused_alike(folder, "it should be the number of steps a second; rates are 0.2 to 1000 Hz")
 
 
 @pytest.mark.parametrize("name", ["frame", "row", "seq", "trigger"])
@@ -85,7 +85,7 @@ def test_a_column_that_rises_evenly_is_asked_about(tmp_path, name, layout):
     else:
         counted = [(frames, np.c_[joints, np.arange(len(joints)) / 7]) for frames, joints in EIGHT]
         folder = write_v2(tmp_path / "data", counted, names=[*NAMES, name])
-    refused_alike(folder, f"{name} rises evenly in every episode, .*: leave it out by --view.joints shoulder elbow")
+    assert_refused_alike(folder, f"{name} rises evenly in every episode, .*: leave it out by --view.joints shoulder elbow")
     assert_read_right(folder, view=View(joints=("shoulder", "elbow")))
 
 
@@ -126,7 +126,7 @@ def test_episodes_of_another_rate_are_named_with_theirs(tmp_path):
 def test_what_counts_down_is_asked_about(tmp_path, name):
     counted = [(frames, np.c_[joints, np.arange(len(joints))[::-1]]) for frames, joints in EIGHT]
     folder = write_v2(tmp_path / "data", counted, names=["shoulder", "elbow (right)", name])
-    refused_alike(folder, f"{name} falls evenly in every episode, .*: leave it out by --view.joints shoulder 'elbow \\(right\\)'")
+    assert_refused_alike(folder, f"{name} falls evenly in every episode, .*: leave it out by --view.joints shoulder 'elbow \\(right\\)'")
     (finding,) = [finding for finding in checked(folder).findings if finding.kind is Kind.COUNTER]
     assert finding.what.startswith(f"{name} falls evenly")
 
@@ -146,7 +146,9 @@ def test_a_half_that_says_the_other_again_is_asked_about(tmp_path, beside, said,
     folder = write_v2(tmp_path / "data", [(frames, np.c_[joints, beside(joints)][:, order]) for frames, joints in EIGHT], names=[*"abcd"])
     positions = ("a", "c") if interleaved else ("a", "b")
     others = ", ".join(name for name in "abcd" if name not in positions)
-    refused_alike(folder, f"{others} go as {said}{', '.join(positions)} do, .*: leave them out by --view.joints {' '.join(positions)}")
+    assert_refused_alike(
+        folder, f"{others} go as {said}{', '.join(positions)} do, .*: leave them out by --view.joints {' '.join(positions)}"
+    )
     assert_read_right(folder, positions, View(joints=positions))
     assert open_recordings(folder, view=View(joints=tuple("abcd"))).demonstrations[0].joint_names == tuple("abcd")
 
@@ -155,7 +157,7 @@ def test_velocities_and_efforts_beside_positions_are_asked_about(tmp_path):
     measured = [(frames, np.c_[joints, 10 * np.gradient(joints, axis=0), np.sin(5 * joints[:, 0])]) for frames, joints in EIGHT]
     names = ["j1.pos", "j2.pos", "j1.vel", "j2.vel", "effort_1"]
     folder = write_v2(tmp_path / "data", measured, names=names)
-    refused_alike(folder, "j1.vel, j2.vel, effort_1 are no positions by name, .*: leave them out by --view.joints j1.pos j2.pos")
+    assert_refused_alike(folder, "j1.vel, j2.vel, effort_1 are no positions by name, .*: leave them out by --view.joints j1.pos j2.pos")
     assert open_recordings(folder, view=View(joints=tuple(names))).demonstrations[0].joint_names == tuple(names)
     alone = write_v2(tmp_path / "alone", names=["x.vel", "y.vel"])  # a robot that is commanded velocities has nothing else
     assert_read_right(alone, ("x.vel", "y.vel"))

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from planar_arm import EIGHT, INFO, LINES, TOP, assert_read_right, checked, into_videos, recorded, refused_alike, write_v2, write_v3
+from planar_arm import EIGHT, INFO, LINES, TOP, assert_read_right, assert_refused_alike, checked, into_videos, recorded, write_v2, write_v3
 from preimage import cli
 from preimage.data.dataset import open_recordings, read_episodes
 from preimage.examination import Kind
@@ -51,7 +51,7 @@ def test_an_episode_that_is_listed_twice_is_refused(tmp_path):
     folder = write_v2(tmp_path / "data")
     lines = (folder / LINES).read_text()
     (folder / LINES).write_text(lines + lines.splitlines()[3] + "\n")
-    refused_alike(folder, "lists episode 3 twice")
+    assert_refused_alike(folder, "lists episode 3 twice")
 
 
 def one_bad_episode(place: Path) -> Path:
@@ -62,7 +62,7 @@ def one_bad_episode(place: Path) -> Path:
 
 def test_a_bad_episode_can_be_left_out_and_the_sentence_says_how(tmp_path):
     folder = one_bad_episode(tmp_path / "data")
-    refused_alike(folder, "episode 3 has 19 frames for 20 steps of joints: .* leave that episode out \\(--without-episodes 3\\)")
+    assert_refused_alike(folder, "episode 3 has 19 frames for 20 steps of joints: .* leave that episode out \\(--without-episodes 3\\)")
     assert "--without-episodes 3" in " ".join(finding.help for finding in checked(folder).findings)
     assert checked(folder, without=(3,)).trainable
     assert open_recordings(folder, without=(3,)).episodes == (0, 1, 2, 4, 5, 6, 7)
@@ -167,7 +167,7 @@ def test_a_step_without_joints_is_named(tmp_path):
     edit_rows(path, lambda rows: rows[7].update({"observation.state": None}))
     (finding,) = [finding for finding in checked(folder).findings if finding.kind is Kind.NOT_FINITE]
     assert finding.places == ((4, 7),)
-    refused_alike(folder, "episode 4: joints holds nan at step 7")
+    assert_refused_alike(folder, "episode 4: joints holds nan at step 7")
 
 
 @pytest.mark.parametrize(

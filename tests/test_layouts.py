@@ -5,7 +5,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from planar_arm import INFO, NAMES, TOP, assert_read_right, into_videos, refused_alike, write_v2
+from planar_arm import INFO, NAMES, TOP, assert_read_right, assert_refused_alike, into_videos, write_v2
 from preimage.data.dataset import load
 from preimage.data.view import View
 from recordings import edit_json
@@ -38,7 +38,7 @@ def test_names_and_shapes_of_converters_are_read(tmp_path, names, shape, read):
 @pytest.mark.parametrize(("state", "asked"), [("state", "state"), ("observation.states.joint.position", "joint.position")])
 def test_the_state_may_have_another_name(tmp_path, state, asked):
     folder = write_v2(tmp_path / "data", state=state, camera="image" if state == "state" else TOP)
-    refused_alike(folder, f"has no observation.state: choose one or more of {state}, action by --view.state")
+    assert_refused_alike(folder, f"has no observation.state: choose one or more of {state}, action by --view.state")
     assert_read_right(folder, view=View(state=(asked,)))
     with pytest.raises(ValueError, match=f"has no column of numbers velocity: it has {state}, action"):
         load(folder, view=View(state=("velocity",)))
@@ -85,4 +85,4 @@ def test_a_column_that_is_there_twice_is_refused(tmp_path):
     path = folder / "data/chunk-000/episode_000002.parquet"
     table = pq.read_table(path)
     pq.write_table(table.append_column("episode_index", table["frame_index"]), path)
-    refused_alike(folder, "episode_000002.parquet has several columns episode_index: give each a name of its own")
+    assert_refused_alike(folder, "episode_000002.parquet has several columns episode_index: give each a name of its own")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from planar_arm import EIGHT, PLAIN, SIZE, checked, refused_alike, write_plain
+from planar_arm import EIGHT, PLAIN, SIZE, assert_refused_alike, checked, write_plain
 from preimage.data.dataset import load, open_recordings
 from preimage.data.sources import read_image
 from preimage.data.view import View
@@ -144,7 +144,7 @@ def test_colour_among_grey_is_told_and_seen_in_grey_where_asked(tmp_path):
     for path in (folder / "take 0").glob("*.png"):
         with Image.open(path) as image:
             image.convert("L").save(path)
-    refused_alike(folder, "take 1, step 0 has a frame in colour, the first is in grey: look at all alike, by --view.colour grey")
+    assert_refused_alike(folder, "take 1, step 0 has a frame in colour, the first is in grey: look at all alike, by --view.colour grey")
     assert {one.frames.shape[-1] for one in load(folder, view=View(colour="grey"))} == {1}
 
 

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from planar_arm import EIGHT, INFO, LINES, assert_read_right, refused_alike, write_plain, write_v2
+from planar_arm import EIGHT, INFO, LINES, assert_read_right, assert_refused_alike, write_plain, write_v2
 from preimage.data.dataset import load
 from recordings import edit_json
 
@@ -47,7 +47,7 @@ def test_a_number_of_episodes_is_not_believed(tmp_path, count):
 def test_a_state_of_a_thousand_million_values_is_refused(tmp_path, shape, names):
     folder = write_v2(tmp_path / "data")
     edit_json(folder / INFO, lambda info: info["features"]["observation.state"].update(shape=shape, names=names))
-    refused_alike(folder, "1024 values a step are the most that can be joints")
+    assert_refused_alike(folder, "1024 values a step are the most that can be joints")
 
 
 @pytest.mark.parametrize("name", [INFO, LINES, "data/chunk-000/episode_000002.parquet", "take/joints.csv", "take/0.png"])
@@ -63,7 +63,7 @@ def test_a_named_pipe_is_not_waited_for(tmp_path, name):
 def test_json_nested_without_end_is_refused(tmp_path):
     folder = write_v2(tmp_path / "data")
     (folder / INFO).write_text("[" * 100_000)
-    refused_alike(folder, "info.json is not JSON")
+    assert_refused_alike(folder, "info.json is not JSON")
 
 
 @pytest.mark.parametrize("name", [INFO, LINES])
@@ -71,6 +71,6 @@ def test_half_a_character_is_no_text(tmp_path, name):
     folder = write_v2(tmp_path / "data")
     path = folder / name
     path.write_text(path.read_text().replace("{", r'{"note": "\ud83d", ', 1))
-    refused_alike(folder, "holds half a character")
+    assert_refused_alike(folder, "holds half a character")
     path.write_text(path.read_text().replace(r"\ud83d", r"\ud83d\ude00"))
     assert_read_right(folder)
