@@ -32,7 +32,7 @@ MADE_OF = {  # an idea -> the ideas that it is made of
     "held_out_error": {"gauss_newton"},
     "hold_goal": {"residuals"},
     "last_look": {"memory"},
-    "memory": {"gripper_events", "image_features", "kriging", "unseen_parts"},
+    "memory": {"gripper_events", "image_features", "kriging", "pauses", "unseen_parts"},
     "mixup": {"image_features"},
     "trust": {"calibration", "image_features", "kriging", "memory", "unseen_parts"},
     "moved_things": {"memory", "test_time_augmentation"},

@@ -88,6 +88,14 @@ def test_a_start_looked_at_from_all_sides_says_how_much_hangs_on_it(trained, mem
     assert all(little[name] < more[name] for name in ("spread_joints", "spread_picture"))
 
 
+def test_a_way_that_passes_elsewhere_than_demonstrations_pause_is_told(planner: Planner) -> None:
+    found = planner.plan(start=bar(0.5).first, goal=Percept(bar(0.7).last.frame))
+    aside = replace(found, joints=found.joints + 0.3 * np.ptp(found.joints, axis=0))
+    evidence, of_aside = (planner.assessment.evidence(one) for one in (found, aside))
+    assert of_aside["off_pause"] > evidence["off_pause"]
+    assert of_aside["pause_uncertainty"] == evidence["pause_uncertainty"]
+
+
 def test_plans_without_memory_or_without_a_picture_have_less_evidence(trained, memory) -> None:
     bare = Planner(trained, None, replace(REGRESSION, iterations=1)).plan(goal=Percept(bar(0.5).last.frame)).trust
     felt = Planner(trained, memory, replace(QUICK, modalities="joints")).plan(goal=Percept(joints=bar(0.5).last.joints)).trust

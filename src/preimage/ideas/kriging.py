@@ -2,8 +2,9 @@
 
 The picture of a goal between those of some demonstrations is, seen coarsely, nearly a blend of theirs, and what goes with it, the joints
 or an intention, nearly the same blend of what goes with them. Kriging finds the blend: a Gaussian process whose kernel, the rational
-quadratic, falls off slowly, with a constant mean. Its scale and noise are those under which each ending is predicted best by all others,
-and how well it is says how far to trust the prediction (leave one out; Rasmussen and Williams 2006, chapter 5).
+quadratic, falls off slowly, with a constant mean. Several scales and noises are tried, and each counts by how well it predicts each ending
+from all others (leave one out; Rasmussen and Williams 2006, chapter 5), which also says how far to trust the prediction. A few dozen
+demonstrations do not tell which of them is best, and a mean of those that do well is nearer than the best of them (docs/log.md).
 
 >>> features, values = torch.arange(6.0)[:, None], 10 * torch.arange(6.0)[:, None]
 >>> predicted = krige([(torch.tensor([2.5]), Endings(features))], values)
@@ -11,9 +12,10 @@ and how well it is says how far to trust the prediction (leave one out; Rasmusse
 (25, True)
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import torch
 from jaxtyping import Float
@@ -23,6 +25,8 @@ SCALES = (1.0, 3.0, 10.0, 30.0)
 """Squared lengths of the kernel that are tried, in median squared distances of the endings."""
 NOISES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 """Variances of the noise that are tried, beside the kernel's 1."""
+IN_COMMON = 25
+"""Endings that tell kernels apart as one would that has nothing in common with the others: a residual of one is that of its neighbours."""
 MAX_FIT_POINTS = 200
 """Endings by which view, length and noise are chosen, the nearest where there are more: to try all takes their number cubed, each time."""
 
@@ -61,13 +65,28 @@ class Endings:
         return torch.cdist(self.points, self.points).square()
 
     @cached_property
-    def kernels(self) -> list[Kernel]:
+    def kernels(self) -> "Kernels":
         """Those that are tried."""
-        return [self.kernel(scale * float(usual(self.distances)), noise) for scale in SCALES for noise in NOISES]
+        return Kernels.of([self.kernel(scale * float(usual(self.distances)), noise) for scale in SCALES for noise in NOISES])
 
     def kernel(self, length: float, noise: float) -> Kernel:
         own = torch.cat([torch.ones(len(self.points)), torch.zeros(1)]).double().diag()
         return Kernel(length, noise, torch.linalg.inv(bordered(1 / (1 + self.distances / length)) + noise * own))
+
+
+@dataclass(frozen=True, eq=False)
+class Kernels:
+    """G kernels of the same endings, asked together."""
+
+    each: Sequence[Kernel]
+    lengths: Float[Tensor, "G 1"]
+    noises: Float[Tensor, " G"]
+    inverses: Float[Tensor, "G M M"]
+
+    @classmethod
+    def of(cls, each: Sequence[Kernel]) -> Self:
+        lengths, noises = (torch.tensor([getattr(one, name) for one in each]).double() for name in ("length", "noise"))
+        return cls(each, lengths[:, None], noises, torch.stack([one.inverse for one in each]))
 
 
 View = tuple[Float[Tensor, " _"], Endings]
@@ -84,27 +103,43 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """What one kernel makes of a view."""
+class Fits:
+    """What G kernels make of a view."""
 
-    kernel: Kernel
-    prediction: Prediction
-    residual: float
+    means: Float[Tensor, "G V"]
+    deviations: Float[Tensor, "G V"]
+    """How far each may be off (`Prediction.deviation`)."""
+    residuals: Float[Tensor, " G"]
     """How badly each ending is predicted by all others: the sum of the logarithms of the mean squared leave-one-out residuals."""
 
 
 def krige(views: Sequence[View], values: Float[Tensor, "N V"]) -> Prediction:
-    """The values that go with the wanted features, by that of the views that predicts the N endings best.
+    """The values that go with the wanted features: what all kernels make of all views, each weighed by how well it predicts the N endings.
 
-    Of a single ending nothing can be said but itself.
+    Of a single ending nothing can be said but itself. Of more than MAX_FIT_POINTS those that look most alike choose one kernel and one
+    view, by which all are asked.
     """
     if len(values) == 1:
         return Prediction(values[0], torch.full_like(values[0], torch.inf))
-    tried = [(fit, view) for view in views for fit in fits(*nearest(*view, values))]
-    best, view = min(tried, key=lambda each: each[0].residual)
+    asked = [nearest(*view, values) for view in views]
+    tried = [fits(wanted, endings, known) for wanted, endings, known in asked]
     if len(values) > MAX_FIT_POINTS:
-        (best,) = fits(*view, values, kernels=[view[1].kernel(best.kernel.length, best.kernel.noise)])
-    return Prediction(best.prediction.mean.to(values), best.prediction.deviation.to(values))
+        best = min(range(len(views)), key=lambda view: float(tried[view].residuals.min()))
+        chosen = asked[best][1].kernels.each[int(tried[best].residuals.argmin())]
+        wanted, endings = views[best]
+        tried = [fits(wanted, endings, values, kernels=Kernels.of([endings.kernel(chosen.length, chosen.noise)]))]
+    predicted = mixture(tried, len(values))
+    return Prediction(predicted.mean.to(values), predicted.deviation.to(values))
+
+
+def mixture(tried: Sequence[Fits], num_endings: int) -> Prediction:
+    """Mean and deviation of all predictions together, each weighed by how likely the endings are by its kernel, the others known: pseudo
+    Bayesian model averaging (Yao, Vehtari, Simpson and Gelman 2018), tempered.
+    """
+    means, deviations, residuals = (torch.cat([getattr(each, name) for each in tried]) for name in ("means", "deviations", "residuals"))
+    weights = (-num_endings / IN_COMMON * residuals / 2).softmax(0)[:, None]
+    mean = (weights * means).sum(0)
+    return Prediction(mean, (weights * (deviations.square() + (means - mean).square())).sum(0).sqrt())
 
 
 def nearest(
@@ -117,25 +152,19 @@ def nearest(
     return wanted, Endings(endings.features[rows]), values[rows]
 
 
-def fits(
-    wanted: Float[Tensor, " F"],
-    endings: Endings,
-    values: Float[Tensor, "N V"],
-    *,
-    kernels: Sequence[Kernel] | None = None,
-) -> Iterator[Fit]:
+def fits(wanted: Float[Tensor, " F"], endings: Endings, values: Float[Tensor, "N V"], *, kernels: Kernels | None = None) -> Fits:
     """What each kernel makes of a view, in double precision."""
+    kernels = kernels or endings.kernels
     asked, known = (each.double().cpu() for each in (wanted[None], values))
-    targets = torch.cat([known, known.new_zeros(1, known.shape[1])])
-    ways = torch.cdist(asked, endings.points)[0].square()
-    for kernel in kernels or endings.kernels:
-        towards = kernel.towards(ways)
-        weights = kernel.inverse @ targets  # of the endings, and the mean
-        variances = 1 / kernel.inverse.diagonal()[:-1, None]  # of each ending, the others known
-        residuals = variances * weights[:-1]
-        deviation = (kernel.variance(towards) * (residuals.square() / variances).mean(0)).clamp(min=0).sqrt()
-        residual = float(residuals.square().mean(0).clamp(min=1e-12).log().sum())
-        yield Fit(kernel, Prediction(towards @ weights, deviation), residual)
+    ways = torch.cdist(asked, endings.points).square()  # (1, N)
+    towards = torch.cat([1 / (1 + ways / kernels.lengths), ways.new_ones(len(kernels.noises), 1)], 1)
+    weights = kernels.inverses @ torch.cat([known, known.new_zeros(1, known.shape[1])])  # of the endings, and the mean
+    variances = 1 / kernels.inverses.diagonal(dim1=1, dim2=2)[:, :-1, None]  # of each ending, the others known
+    left_out = variances * weights[:, :-1]
+    variance = 1 + kernels.noises - torch.einsum("gm,gmn,gn->g", towards, kernels.inverses, towards)
+    deviations = (variance[:, None] * (left_out.square() / variances).mean(1)).clamp(min=0).sqrt()
+    residuals = left_out.square().mean(1).clamp(min=1e-12).log().sum(1)
+    return Fits(torch.einsum("gm,gmv->gv", towards, weights), deviations, residuals)
 
 
 def in_own_units(rows: Float[Tensor, "M F"]) -> Float[Tensor, "M F"]:

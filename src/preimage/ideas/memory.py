@@ -1,4 +1,5 @@
-"""Memory of the demonstrations: how they begin and end, and where they open or close a gripper. It lies beside the network, never in it.
+"""Memory of the demonstrations: how they begin and end, and where they pause or open or close a gripper. It lies beside the network,
+never in it.
 
 The picture of an arm a little further to the left is not between the pictures of two arms; the joints in which it stands are, nearly,
 between their joints. What goes with a picture is found by kriging (`ideas.kriging`) among the demonstrations, by what has come to stand in
@@ -21,6 +22,7 @@ from preimage.data.sequences import Sequences
 from preimage.ideas.gripper_events import find_events
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
 from preimage.ideas.kriging import Endings, Prediction, View, in_own_units, krige
+from preimage.ideas.pauses import slowest_steps
 from preimage.ideas.unseen_parts import in_few_rows
 from preimage.method.seam import Objective, Problem
 from preimage.network.coding import JointCoding, to_frames, to_pixels
@@ -29,6 +31,8 @@ from preimage.network.pdvmrnn import Sensed
 
 SAME_JOINTS = 0.1
 """Joints nearer than this to each other, in the error of their codes, are as good as the same (nats)."""
+SECOND_BLUR = 0.2
+"""Of what has come to stand, on top of the blur it is kept with (heights of a frame): together a quarter of a frame."""
 NETWORK_DEVIATION = 0.15
 """How far a network's imagined ending is taken to be off, as a share of how much endings differ."""
 FINEST = 0.005
@@ -67,6 +71,8 @@ class DemonstrationMemory:
     """What stands in each first frame."""
     final_pictures: UInt8[Tensor, "N C h3 w3"]
     """The last frames in few rows (`ideas.unseen_parts`), for what their parts look like."""
+    pause_joints: Float[Tensor, "N J"]
+    """Joints at the slowest moment of the way (`ideas.pauses`)."""
     event_joints: Float[Tensor, "N K J"]
     """Joints at each of the K gripper events that all demonstrations have in common."""
     event_joint: int = 0
@@ -80,7 +86,7 @@ class DemonstrationMemory:
         first, last = to_pixels(sequences.frames[:, 0]), to_pixels(sequences.frames[:, -1])
         joints, background, first_background = sequences.joints, last.median(0).values, first.median(0).values
         events = find_events(joints)
-        rows = torch.arange(len(joints))[:, None]
+        rows, shares = torch.arange(len(joints)), joints / (coding.upper - coding.lower)
         return cls(
             background=background,
             arrivals=arrived(first, last, background),
@@ -91,7 +97,8 @@ class DemonstrationMemory:
             first_background=first_background,
             first_objects=apart(first - first_background),
             final_pictures=to_frames(in_few_rows(last)).movedim(-1, 1),
-            event_joints=joints[rows, events.steps] if events else joints[:, :0],
+            pause_joints=joints[rows, slowest_steps(shares)],
+            event_joints=joints[rows[:, None], events.steps] if events else joints[:, :0],
             event_joint=events.joint if events else 0,
         )
 
@@ -192,15 +199,14 @@ class Recollection:
     def joints_at_events(self) -> list[Estimate]:
         """The joints at the gripper events, by what stands at the start or has come to stand at the goal; none from an unknown start.
 
-        Which of them it is, what is brighter there or what is darker, is found by how well each predicts the demonstrations.
+        How much each of them says, what is brighter there or what is darker, is found by how well it predicts the demonstrations.
         """
         memory, problem = self.memory, self.problem
         if not self.knows_start:
             return []
         standing = apart(problem.start[0] - memory.first_background)
         come = arrived(problem.start[0], problem.goal[0], memory.background)
-        parts = zip(standing.chunk(2), memory.first_objects.chunk(2, dim=1), strict=True)
-        views = [*parts, (standing, memory.first_objects), (come, memory.arrivals)]
+        views = [*zip(looks_at(standing), looks_at(memory.first_objects), strict=True), (come, memory.arrivals)]
         flat = [(wanted.flatten(), memory.endings(known.flatten(1), "events", k)) for k, (wanted, known) in enumerate(views)]
         coding = problem.model.coding
         return [estimate_of(krige(flat, joints), joints, coding) for joints in memory.event_joints.unbind(1)]
@@ -229,21 +235,27 @@ def estimate_of(predicted: Prediction, known: Float[Tensor, "N J"], coding: Join
 def views_of(memory: DemonstrationMemory, problem: Problem) -> list[View]:
     """How the goal looks and feels among the endings, coarsely.
 
-    Where sequences begin in different joints, as a robot does that a person brought there, these matter as well, and the picture as a
-    whole says more than what changed in it: one begins with another thing in view than the other. That is a second view.
+    Pictures are looked at as they are kept and through a second blur: the finer one tells neighbours apart, the wider one goes on where
+    demonstrations are few. Where sequences begin in different joints, as a robot does that a person brought there, these matter as well,
+    and the picture as a whole says more than what changed in it: one begins with another thing in view than the other. That is one more.
     """
     coding, (pixels, codes) = problem.model.coding, problem.goal
-    wanted = arrived(problem.start[0], pixels, memory.background)
-    seen = VISUAL_WEIGHT**0.5 * torch.cat([wanted[None], memory.arrivals]).flatten(1)
+    come = torch.cat([arrived(problem.start[0], pixels, memory.background)[None], memory.arrivals])
     felt = torch.cat([codes[None], coding.encode(memory.final_joints)]).flatten(1)
-    parts = {"vision": [seen], "joints": [felt], "both": [seen, felt]}[problem.config.modalities]
-    views = [torch.cat(parts, 1)]
+    seen = [VISUAL_WEIGHT**0.5 * each.flatten(1) for each in (come, blurred(come, SECOND_BLUR))]
+    both = [torch.cat([each, felt], 1) for each in seen]
+    views = {"vision": seen, "joints": [felt], "both": both}[problem.config.modalities]
     if problem.config.modalities == "vision" and begin_differently(memory, coding):
         pictures = torch.cat([blurred(pixels, BLUR)[None], memory.last_frames]).flatten(1)
         spread = memory.first_joints.std(0, unbiased=False).maximum(FINEST * (coding.upper - coding.lower))
         begun = torch.cat([coding.decode(problem.start[1])[None], memory.first_joints]) / spread
         views.append(torch.cat([in_own_units(pictures), FIRST_JOINTS_WEIGHT * in_own_units(begun)], 1))
     return [(rows[0], memory.endings(rows[1:], problem.config.modalities, coding, k)) for k, rows in enumerate(views)]
+
+
+def looks_at(standing: Float[Tensor, "*batch D h w"]) -> list[Float[Tensor, "*batch _ h w"]]:
+    """Ways to look at what stands in a picture: what is brighter there, what is darker, both, and both through the second blur."""
+    return [*standing.chunk(2, dim=-3), standing, blurred(standing, SECOND_BLUR)]
 
 
 def validate_tensors(tensors: Mapping[str, Tensor]) -> None:
@@ -255,7 +267,8 @@ def validate_tensors(tensors: Mapping[str, Tensor]) -> None:
     standing, coarse = apart(background).shape, blurred(background, BLUR).shape
     shapes = {
         "arrivals": (count, *standing), "first_objects": (count, *standing), "last_frames": (count, *coarse),
-        "first_background": background.shape, "final_joints": (count, num_joints), "start_distance": (), "event_joint": (),
+        "first_background": background.shape, "final_joints": (count, num_joints), "pause_joints": (count, num_joints),
+        "start_distance": (), "event_joint": (),
         "final_pictures": (count, *in_few_rows(background).shape), "event_joints": (count, *tensors["event_joints"].shape[1:2], num_joints),
     }  # fmt: skip
     for name, shape in shapes.items():

@@ -18,8 +18,8 @@ from torch import Tensor
 
 from preimage.ideas.calibration import Calibration
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
-from preimage.ideas.kriging import Endings, Kernel, fits, usual
-from preimage.ideas.memory import DemonstrationMemory
+from preimage.ideas.kriging import Endings, Kernel, fits, krige, usual
+from preimage.ideas.memory import DemonstrationMemory, looks_at
 from preimage.ideas.unseen_parts import FINE_ROWS, in_few_rows, unimagined_thing, unseen_part
 from preimage.network.coding import to_pixels
 from preimage.network.pdvmrnn import PDVMRNN
@@ -43,11 +43,13 @@ REASONS = {
     "start_joints": START_UNLIKE,
     "start_picture": START_UNLIKE,
     "start_uncertainty": START_UNLIKE,
+    "pause_uncertainty": START_UNLIKE,
     "goal_blend": OFF_DEMONSTRATED,
     "goal_picture": OFF_DEMONSTRATED,
     "final_joints": OFF_DEMONSTRATED,
     "disagreement": DISAGREE,
     "correction": DISAGREE,
+    "off_pause": DISAGREE,
     "uncertainty": OFF_DEMONSTRATED,
     "ambiguity": SEVERAL,
     "little_change": ALREADY_THERE,
@@ -57,7 +59,7 @@ REASONS = {
 """The evidence by name, and what it says in words where there is much of it."""
 REFUSING = "goal_part", "unimagined_thing"
 """Evidence of what cannot be. A hand between demonstrated hands is strange by it too, and reached, so it says nothing of how likely."""
-LIKELY_ONLY = "start_uncertainty", "spread_joints", "spread_picture"
+LIKELY_ONLY = "start_uncertainty", "off_pause", "pause_uncertainty", "spread_joints", "spread_picture"
 """Evidence that refuses nothing: it tells of the start and what follows from it more than of the goal, and a few strange starts among
 those that are reached would let all goals pass."""
 PLACE = 1 / 16
@@ -168,8 +170,11 @@ class Demonstrated:
     starts: Endings
     """What stood where when demonstrations began."""
     start_kernel: Kernel
-    first_joints: Float[Tensor, "N J"]
+    looks: list[Endings]
+    """Ways to look at the same (`ideas.memory.looks_at`)."""
+    pause_joints: Float[Tensor, "N J"]
     """In shares of the joints' ranges, as are the other joints here."""
+    first_joints: Float[Tensor, "N J"]
     last_frames: Float[Tensor, "N P"]
     final_pictures: Float[Tensor, "N C h w"]
     final_joints: Float[Tensor, "N J"]
@@ -186,7 +191,8 @@ class Demonstrated:
     def of(cls, memory: DemonstrationMemory, model: PDVMRNN) -> "Demonstrated":
         joint_range = plain(model.coding.upper - model.coding.lower)
         arrivals, joints = plain(memory.arrivals).flatten(1), plain(memory.final_joints) / joint_range
-        kernel = min(fits(arrivals[0], Endings(arrivals), joints), key=lambda fit: fit.residual).kernel
+        endings = Endings(arrivals)
+        kernel = endings.kernels.each[int(fits(arrivals[0], endings, joints).residuals.argmin())]
         starts = Endings(plain(memory.first_objects).flatten(1))
         left_out = [(kernel.inverse @ padded(values))[:-1] / kernel.inverse.diagonal()[:-1, None] for values in (arrivals, joints)]
         return cls(
@@ -194,6 +200,8 @@ class Demonstrated:
             first_background=plain(memory.first_background),
             starts=starts,
             start_kernel=starts.kernel(START_LENGTH * float(usual(starts.distances)), START_NOISE),
+            looks=[Endings(each.flatten(1)) for each in looks_at(plain(memory.first_objects))],
+            pause_joints=plain(memory.pause_joints) / joint_range,
             first_joints=plain(memory.first_joints) / joint_range,
             last_frames=plain(memory.last_frames).flatten(1),
             final_pictures=to_pixels(memory.final_pictures.cpu().movedim(1, -1)),
@@ -218,12 +226,14 @@ class Demonstrated:
         towards = self.kernel.towards(apart_from)
         weights = towards @ self.kernel.inverse
         alike = apart_from.argsort()[:NEIGHBOURS]
-        standing = apart(start - self.first_background).flatten()
+        things = apart(start - self.first_background)
+        standing = things.flatten()
         from_starts = self.start_kernel.towards((self.starts.points - standing).square().sum(1))
+        pause = krige([(wanted.flatten(), known) for wanted, known in zip(looks_at(things), self.looks, strict=True)], self.pause_joints)
         seen, imagined_end = in_few_rows(torch.stack([goal, arrival]))
         finely = in_few_rows(torch.stack([goal, arrival, start, self.background]), FINE_ROWS)
         most_alike = self.final_pictures[(self.final_pictures - seen).square().sum((1, 2, 3)).argsort()[:MOST_ALIKE]]
-        begun, final = self.shares(plan.start.joints), self.shares(plan.joints[plan.arrival_step])
+        begun, way = self.shares(plan.start.joints), self.shares(plan.joints[: plan.arrival_step + 1])
         found = {
             "goal_blend": log((weights @ padded(self.arrivals) - came).norm() / self.blend_error),
             "uncertainty": log(self.kernel.variance(towards), 1e-8),
@@ -231,10 +241,12 @@ class Demonstrated:
             "goal_part": log(unseen_part(seen, torch.cat([imagined_end[None], most_alike])), FINEST_PART),
             "unimagined_thing": log(unimagined_thing(finely[0], finely[1], finely[2:]), FINEST_THING),
             "goal_picture": log(nearest(blurred(goal, BLUR), self.last_frames)),
-            "final_joints": log(nearest(final, self.final_joints), FINEST_JOINT),
+            "final_joints": log(nearest(way[-1], self.final_joints), FINEST_JOINT),
             "start_joints": log(nearest(begun, self.first_joints), FINEST_JOINT),
             "start_picture": log(nearest(standing, self.starts.points), 1e-3),
             "start_uncertainty": log(self.start_kernel.variance(from_starts), 1e-8),
+            "off_pause": log(distance_to_way(pause.mean, way), FINEST_JOINT),
+            "pause_uncertainty": log(pause.deviation.norm(), FINEST_JOINT),
             "little_change": -log(came.norm() / self.arrivals.norm(dim=1).median(), 1e-3),
         }
         if plan.imagined_joints is not None:
@@ -265,6 +277,18 @@ def worst_place(difference: Float[Tensor, "C H W"]) -> Float[Tensor, ""]:
 def nearest(wanted: Tensor, known: Float[Tensor, "N V"]) -> Float[Tensor, ""]:
     """Distance to the nearest of what is known."""
     return torch.cdist(wanted.flatten()[None], known).min()
+
+
+def distance_to_way(joints: Float[Tensor, " J"], way: Float[Tensor, "T J"]) -> Float[Tensor, ""]:
+    """How far joints are from the nearest point of a way, which goes straight from step to step.
+
+    >>> way = torch.tensor([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0]])
+    >>> round(distance_to_way(torch.tensor([1.0, 0.5]), way).item(), 3), round(distance_to_way(torch.tensor([2.0, 3.0]), way).item(), 3)
+    (0.5, 1.0)
+    """
+    along = torch.cat([way.diff(dim=0), torch.zeros_like(way[-1:])])
+    shares = ((joints - way) * along).sum(1) / along.square().sum(1).clamp(min=1e-12)
+    return (way + shares.clamp(0, 1)[:, None] * along - joints).norm(dim=1).amin()
 
 
 def padded(values: Float[Tensor, "N V"]) -> Float[Tensor, "M V"]:
