@@ -63,6 +63,10 @@ def test_presets_share_what_they_train_alike_and_nothing_else() -> None:
     assert gripping.run == Cell("move-object").run
     assert network_of(gripping) == network_of(Cell("move-object"))
     assert regression.name not in (full.name, full.run)
+    paper_on_two, on_two = (Cell("two-points", preset=preset) for preset in ("paper", "regression"))
+    assert on_two.run == on_two.name != paper_on_two.run
+    assert network_of(on_two) == network_of(paper_on_two)
+    assert learning_of(on_two) == replace(learning_of(paper_on_two), later_starts=learning_of(Cell("two-points")).later_starts)
     assert len({each.name for each in (full, regression, paper)}) == 3
 
 

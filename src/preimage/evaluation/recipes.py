@@ -37,6 +37,9 @@ LEARNING: dict[str, dict[str, Any]] = {
     "two-circles": {"updates": 1300},
 }
 """How a task is learned, where that differs from `TrainOptions`."""
+REGRESSION_LEARNING: dict[str, dict[str, Any]] = {"two-points": {"later_starts": 0.5}}
+"""How the network of regression is learned, where that differs from paper's: with later starts the marker is read where it is seen, and
+not where it lay in the demonstration at whose intention the search begins (docs/log.md)."""
 FEW: dict[int, dict[str, Any]] = {50: {"mixup": 0.5}, 25: {"mixup": 0.5, "mixup_arity": 4, "mixup_extrapolation": 1.8}}
 """How reaching is learned from fewer than 100 demonstrations: what lies between them, and around them, has to be learned."""
 TRAINING_IDEAS: dict[str, tuple[tuple[str, int], ...]] = {
@@ -79,12 +82,13 @@ class Cell:
     @property
     def run(self) -> str:
         """Of its trained model, which presets that train alike share."""
-        return self._named("-as-paper" if self.learns_as == "paper" else "")
+        return self._named("" if self.learns_as == "full" else f"-as-{self.learns_as}")
 
     @property
     def learns_as(self) -> Preset:
-        """The preset by which its model is trained: regression plans with the network of paper, or, where things are gripped, of full."""
-        if self.preset == "regression":
+        """The preset by which its model is trained: regression plans with the network of paper, of full where things are gripped, or with
+        one of its own."""
+        if self.preset == "regression" and self.task not in REGRESSION_LEARNING:
             return "full" if self.task in GRIPPING else "paper"
         return self.preset
 
@@ -146,7 +150,7 @@ def cells_of(table: str, size: str) -> list[Cell]:
 def network_of(cell: Cell) -> ModelConfig:
     """The cell's network, with the capacity of its intention."""
     network = network_config(cell.size, cell.learns_as)
-    if cell.learns_as == "paper":
+    if cell.learns_as != "full":
         return replace(network, **PAPER_NETWORKS.get(cell.task, {}))
     network = replace(network, **NETWORKS.get(cell.task, {}))
     if cell.without == "keypoints":
@@ -159,7 +163,9 @@ def network_of(cell: Cell) -> ModelConfig:
 def learning_of(cell: Cell) -> TrainOptions:
     """How the cell's model learns."""
     config = TrainOptions(seed=cell.seed)
-    if cell.learns_as != "paper":
+    if cell.learns_as == "regression":
+        config = replace(config, **REGRESSION_LEARNING[cell.task])
+    if cell.learns_as == "full":
         few = FEW.get(cell.num_demonstrations, {}) if cell.task == "reach" else {}
         config = replace(config, **LEARNING.get(cell.task, {}), **few)
     if cell.without in ("mixup", "later_starts"):
