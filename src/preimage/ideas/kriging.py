@@ -13,12 +13,12 @@ demonstrations do not tell which of them is best, and a mean of those that do we
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 SCALES = (1.0, 3.0, 10.0, 30.0)
@@ -28,7 +28,9 @@ NOISES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 IN_COMMON = 25
 """Endings that tell kernels apart as one would that has nothing in common with the others: a residual of one is that of its neighbours."""
 MAX_FIT_POINTS = 200
-"""Endings by which view, length and noise are chosen, the nearest where there are more: to try all takes their number cubed, each time."""
+"""Endings by which all kernels are tried, some of all where there are more: it takes their number cubed."""
+LEAST_COUNT = 0.05
+"""Of 1; where there are more endings than that, a kernel that counts for less is not asked about all of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +56,12 @@ class Endings:
     """Features of N endings. What predictions need of them, whatever is asked for, is worked out once, in double precision."""
 
     features: Float[Tensor, "N F"]
+    _known: dict[tuple[float, float], Kernel] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def few(self) -> Self:
+        """At most MAX_FIT_POINTS of them, evenly drawn."""
+        return type(self)(self.features[some_of(len(self.features))]) if len(self.features) > MAX_FIT_POINTS else self
 
     @cached_property
     def points(self) -> Float[Tensor, "N F"]:
@@ -68,6 +76,14 @@ class Endings:
     def kernels(self) -> "Kernels":
         """Those that are tried."""
         return Kernels.of([self.kernel(scale * float(usual(self.distances)), noise) for scale in SCALES for noise in NOISES])
+
+    def chosen(self, which: Bool[Tensor, " G"]) -> "Kernels":
+        """Those that few of them chose, of all. They are kept, for they are likely to be chosen again."""
+        those = [(one.length, one.noise) for one, is_chosen in zip(self.few.kernels.each, which.tolist(), strict=True) if is_chosen]
+        for each in those:
+            if each not in self._known:
+                self._known[each] = self.kernel(*each)
+        return Kernels.of([self._known[each] for each in those])
 
     def kernel(self, length: float, noise: float) -> Kernel:
         own = torch.cat([torch.ones(len(self.points)), torch.zeros(1)]).double().diag()
@@ -116,40 +132,38 @@ class Fits:
 def krige(views: Sequence[View], values: Float[Tensor, "N V"]) -> Prediction:
     """The values that go with the wanted features: what all kernels make of all views, each weighed by how well it predicts the N endings.
 
-    Of a single ending nothing can be said but itself. Of more than MAX_FIT_POINTS those that look most alike choose one kernel and one
-    view, by which all are asked.
+    Of a single ending nothing can be said but itself. Of more than MAX_FIT_POINTS so many choose kernels and views, by which all are asked.
     """
     if len(values) == 1:
         return Prediction(values[0], torch.full_like(values[0], torch.inf))
-    asked = [nearest(*view, values) for view in views]
-    tried = [fits(wanted, endings, known) for wanted, endings, known in asked]
-    if len(values) > MAX_FIT_POINTS:
-        best = min(range(len(views)), key=lambda view: float(tried[view].residuals.min()))
-        chosen = asked[best][1].kernels.each[int(tried[best].residuals.argmin())]
-        wanted, endings = views[best]
-        tried = [fits(wanted, endings, values, kernels=Kernels.of([endings.kernel(chosen.length, chosen.noise)]))]
+    few = values[some_of(len(values))]
+    tried = [fits(wanted, endings.few, few) for wanted, endings in views]
+    if len(few) < len(values):
+        counts = (counts_of(tried, len(few)) > LEAST_COUNT).split([len(each.residuals) for each in tried])
+        those = [(wanted, endings, which) for (wanted, endings), which in zip(views, counts, strict=True) if which.any()]
+        tried = [fits(wanted, endings, values, kernels=endings.chosen(which)) for wanted, endings, which in those]
     predicted = mixture(tried, len(values))
     return Prediction(predicted.mean.to(values), predicted.deviation.to(values))
 
 
 def mixture(tried: Sequence[Fits], num_endings: int) -> Prediction:
-    """Mean and deviation of all predictions together, each weighed by how likely the endings are by its kernel, the others known: pseudo
-    Bayesian model averaging (Yao, Vehtari, Simpson and Gelman 2018), tempered.
-    """
-    means, deviations, residuals = (torch.cat([getattr(each, name) for each in tried]) for name in ("means", "deviations", "residuals"))
-    weights = (-num_endings / IN_COMMON * residuals / 2).softmax(0)[:, None]
+    """Mean and deviation of all predictions together."""
+    weights = counts_of(tried, num_endings)[:, None]
+    means, deviations = (torch.cat([getattr(each, name) for each in tried]) for name in ("means", "deviations"))
     mean = (weights * means).sum(0)
     return Prediction(mean, (weights * (deviations.square() + (means - mean).square())).sum(0).sqrt())
 
 
-def nearest(
-    wanted: Float[Tensor, " F"], endings: Endings, values: Float[Tensor, "N V"]
-) -> tuple[Float[Tensor, " F"], Endings, Float[Tensor, "M V"]]:
-    """The endings that look most like what is wanted, at most MAX_FIT_POINTS of them."""
-    if len(values) <= MAX_FIT_POINTS:
-        return wanted, endings, values
-    rows = torch.cdist(wanted[None], endings.features)[0].argsort()[:MAX_FIT_POINTS]
-    return wanted, Endings(endings.features[rows]), values[rows]
+def counts_of(tried: Sequence[Fits], num_endings: int) -> Float[Tensor, " _"]:
+    """How much each kernel of each view counts, of 1: as likely as the endings are by it, the others known. That is pseudo Bayesian model
+    averaging (Yao, Vehtari, Simpson and Gelman 2018), tempered."""
+    residuals = torch.cat([each.residuals for each in tried])
+    return (-num_endings / IN_COMMON * residuals / 2).softmax(0)
+
+
+def some_of(number: int) -> Int[Tensor, " few"]:
+    """MAX_FIT_POINTS rows of so many, evenly drawn; all where there are no more."""
+    return torch.linspace(0, number - 1, min(number, MAX_FIT_POINTS)).round().long()
 
 
 def fits(wanted: Float[Tensor, " F"], endings: Endings, values: Float[Tensor, "N V"], *, kernels: Kernels | None = None) -> Fits:
