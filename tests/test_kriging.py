@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from preimage.ideas.kriging import IN_COMMON, MAX_FIT_POINTS, Endings, Fits, krige, mixture
+from preimage.ideas.kriging import MAX_FIT_POINTS, Endings, krige, krige_by_all
 
 
 def endings(count: int = 40, noise: float = 0.0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -45,23 +45,20 @@ def test_of_many_endings_those_that_look_alike_choose_how_to_ask_all() -> None:
     assert predicted.mean == pytest.approx(values[7].numpy(), abs=1e-3)
 
 
-def fit(mean: float, residual: float, deviation: float = 1.0) -> Fits:
-    """What one kernel makes of one number."""
-    return Fits(*(torch.tensor(each).double() for each in ([[mean]], [[deviation]], [residual])))
+def test_views_that_contradict_each_other_are_doubted() -> None:
+    """Two views tell all endings equally well, and of what is wanted one says this and the other that."""
+    features, values = endings()
+    here, there = ((features[row], Endings(features)) for row in (3, 9))
+    one, both = krige_by_all([here], values), krige_by_all([here, there], values)
+    assert one.mean == pytest.approx(values[3].numpy(), abs=0.01)
+    assert both.mean == pytest.approx((values[3] + values[9]).numpy() / 2, abs=0.01)
+    assert both.deviation == pytest.approx((values[3] - values[9]).abs().numpy() / 2, abs=0.02)
 
 
-def test_kernels_that_do_equally_well_are_averaged_and_their_differences_doubted() -> None:
-    both = mixture([fit(0.0, 1.0), fit(4.0, 1.0)], num_endings=30)
-    assert both.mean.item() == pytest.approx(2.0)
-    assert both.deviation.item() == pytest.approx((1.0 + 4.0) ** 0.5)
-    one = mixture([fit(3.0, 1.0, 0.5)], num_endings=30)
-    assert (one.mean.item(), one.deviation.item()) == pytest.approx((3.0, 0.5))
-
-
-@pytest.mark.parametrize("times", [1, 4])
-def test_the_better_kernel_counts_for_as_much_as_endings_are_likelier_by_it(times: int) -> None:
-    predicted = mixture([fit(0.0, 0.0), fit(1.0, 2.0)], num_endings=times * IN_COMMON)
-    assert predicted.mean.item() == pytest.approx(1 / (1 + torch.tensor(1.0 * times).exp().item()))
+def test_a_view_that_tells_nothing_hardly_counts() -> None:
+    features, values = endings()
+    predicted = krige_by_all([(features[3], Endings(features)), (torch.zeros(4), Endings(torch.zeros_like(features)))], values)
+    assert predicted.mean == pytest.approx(values[3].numpy(), abs=0.05)
 
 
 def test_what_lies_beyond_all_endings_is_told_less_surely() -> None:

@@ -22,7 +22,7 @@ from preimage.network.coding import JointCoding
 
 BLEND_WIDTH = 1 / 3
 """How far from its end a way is blended, as a share of the farthest that it is from there."""
-DOUBT = 0.005
+DOUBT = 0.05
 """Share of the error of staying at the start from which on the variance of what is imagined grows with its error."""
 
 

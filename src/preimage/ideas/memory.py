@@ -199,14 +199,15 @@ class Recollection:
     def joints_at_events(self) -> list[Estimate]:
         """The joints at the gripper events, by what stands at the start or has come to stand at the goal; none from an unknown start.
 
-        How much each of them says, what is brighter there or what is darker, is found by how well it predicts the demonstrations.
+        Which of them it is, what is brighter there or what is darker, is found by how well each predicts the demonstrations.
         """
         memory, problem = self.memory, self.problem
         if not self.knows_start:
             return []
         standing = apart(problem.start[0] - memory.first_background)
         come = arrived(problem.start[0], problem.goal[0], memory.background)
-        views = [*zip(looks_at(standing), looks_at(memory.first_objects), strict=True), (come, memory.arrivals)]
+        parts = zip(standing.chunk(2), memory.first_objects.chunk(2, dim=1), strict=True)
+        views = [*parts, (standing, memory.first_objects), (come, memory.arrivals)]
         flat = [(wanted.flatten(), memory.endings(known.flatten(1), "events", k)) for k, (wanted, known) in enumerate(views)]
         coding = problem.model.coding
         return [estimate_of(krige(flat, joints), joints, coding) for joints in memory.event_joints.unbind(1)]
@@ -235,16 +236,15 @@ def estimate_of(predicted: Prediction, known: Float[Tensor, "N J"], coding: Join
 def views_of(memory: DemonstrationMemory, problem: Problem) -> list[View]:
     """How the goal looks and feels among the endings, coarsely.
 
-    Pictures are looked at as they are kept and through a second blur: the finer one tells neighbours apart, the wider one goes on where
-    demonstrations are few. Where sequences begin in different joints, as a robot does that a person brought there, these matter as well,
-    and the picture as a whole says more than what changed in it: one begins with another thing in view than the other. That is one more.
+    Where sequences begin in different joints, as a robot does that a person brought there, these matter as well, and the picture as a
+    whole says more than what changed in it: one begins with another thing in view than the other. That is a second view.
     """
     coding, (pixels, codes) = problem.model.coding, problem.goal
-    come = torch.cat([arrived(problem.start[0], pixels, memory.background)[None], memory.arrivals])
+    wanted = arrived(problem.start[0], pixels, memory.background)
+    seen = VISUAL_WEIGHT**0.5 * torch.cat([wanted[None], memory.arrivals]).flatten(1)
     felt = torch.cat([codes[None], coding.encode(memory.final_joints)]).flatten(1)
-    seen = [VISUAL_WEIGHT**0.5 * each.flatten(1) for each in (come, blurred(come, SECOND_BLUR))]
-    both = [torch.cat([each, felt], 1) for each in seen]
-    views = {"vision": seen, "joints": [felt], "both": both}[problem.config.modalities]
+    parts = {"vision": [seen], "joints": [felt], "both": [seen, felt]}[problem.config.modalities]
+    views = [torch.cat(parts, 1)]
     if problem.config.modalities == "vision" and begin_differently(memory, coding):
         pictures = torch.cat([blurred(pixels, BLUR)[None], memory.last_frames]).flatten(1)
         spread = memory.first_joints.std(0, unbiased=False).maximum(FINEST * (coding.upper - coding.lower))

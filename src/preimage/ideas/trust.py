@@ -18,7 +18,7 @@ from torch import Tensor
 
 from preimage.ideas.calibration import Calibration
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
-from preimage.ideas.kriging import Endings, Kernel, fits, krige, usual
+from preimage.ideas.kriging import Endings, Kernel, fits, krige_by_all, usual
 from preimage.ideas.memory import DemonstrationMemory, looks_at
 from preimage.ideas.unseen_parts import FINE_ROWS, in_few_rows, unimagined_thing, unseen_part
 from preimage.network.coding import to_pixels
@@ -191,8 +191,7 @@ class Demonstrated:
     def of(cls, memory: DemonstrationMemory, model: PDVMRNN) -> "Demonstrated":
         joint_range = plain(model.coding.upper - model.coding.lower)
         arrivals, joints = plain(memory.arrivals).flatten(1), plain(memory.final_joints) / joint_range
-        endings = Endings(arrivals)
-        kernel = endings.kernels.each[int(fits(arrivals[0], endings, joints).residuals.argmin())]
+        kernel = min(fits(arrivals[0], Endings(arrivals), joints), key=lambda fit: fit.residual).kernel
         starts = Endings(plain(memory.first_objects).flatten(1))
         left_out = [(kernel.inverse @ padded(values))[:-1] / kernel.inverse.diagonal()[:-1, None] for values in (arrivals, joints)]
         return cls(
@@ -229,7 +228,9 @@ class Demonstrated:
         things = apart(start - self.first_background)
         standing = things.flatten()
         from_starts = self.start_kernel.towards((self.starts.points - standing).square().sum(1))
-        pause = krige([(wanted.flatten(), known) for wanted, known in zip(looks_at(things), self.looks, strict=True)], self.pause_joints)
+        pause = krige_by_all(
+            [(wanted.flatten(), known) for wanted, known in zip(looks_at(things), self.looks, strict=True)], self.pause_joints
+        )
         seen, imagined_end = in_few_rows(torch.stack([goal, arrival]))
         finely = in_few_rows(torch.stack([goal, arrival, start, self.background]), FINE_ROWS)
         most_alike = self.final_pictures[(self.final_pictures - seen).square().sum((1, 2, 3)).argsort()[:MOST_ALIKE]]
