@@ -96,6 +96,17 @@ def test_a_way_that_passes_elsewhere_than_demonstrations_pause_is_told(planner: 
     assert of_aside["pause_uncertainty"] == evidence["pause_uncertainty"]
 
 
+def test_of_many_demonstrations_some_tell_where_there_is_a_pause(trained, memory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of them would have their matrices inverted for seconds, or, those chosen by the start, at every plan."""
+    monkeypatch.setattr("preimage.ideas.trust.MAX_FIT_POINTS", 5)
+    few = Planner(trained, memory, QUICK)
+    evidence = few.assessment.evidence(few.plan(start=bar(0.5).first, goal=Percept(bar(0.7).last.frame)))
+    demonstrated = few.assessment.demonstrated
+    assert demonstrated is not None
+    assert [len(each.features) for each in demonstrated.looks] == [5] * 4
+    assert np.isfinite([evidence["off_pause"], evidence["pause_uncertainty"]]).all()
+
+
 def test_plans_without_memory_or_without_a_picture_have_less_evidence(trained, memory) -> None:
     bare = Planner(trained, None, replace(REGRESSION, iterations=1)).plan(goal=Percept(bar(0.5).last.frame)).trust
     felt = Planner(trained, memory, replace(QUICK, modalities="joints")).plan(goal=Percept(joints=bar(0.5).last.joints)).trust

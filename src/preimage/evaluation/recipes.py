@@ -165,7 +165,7 @@ def learning_of(cell: Cell) -> TrainOptions:
     config = TrainOptions(seed=cell.seed)
     if cell.learns_as == "regression":
         config = replace(config, **REGRESSION_LEARNING[cell.task])
-    if cell.learns_as == "full":
+    elif cell.learns_as == "full":
         few = FEW.get(cell.num_demonstrations, {}) if cell.task == "reach" else {}
         config = replace(config, **LEARNING.get(cell.task, {}), **few)
     if cell.without in ("mixup", "later_starts"):

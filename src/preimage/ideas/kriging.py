@@ -112,8 +112,10 @@ def krige(views: Sequence[View], values: Float[Tensor, "N V"]) -> Prediction:
 def krige_by_all(views: Sequence[View], values: Float[Tensor, "N V"]) -> Prediction:
     """The same by all kernels of all views, each weighed by how likely the endings are by it, the others known: pseudo Bayesian model
     averaging (Yao, Vehtari, Simpson and Gelman 2018), tempered. Where they contradict each other, the deviation is large.
+
+    It is asked of MAX_FIT_POINTS endings at most, the same at every goal, so that matrices are inverted once.
     """
-    tried = [fit for view in views for fit in fits(*nearest(*view, values))]
+    tried = [fit for view in views for fit in fits(*view, values)]
     weights = (-len(values) / IN_COMMON * torch.tensor([fit.residual for fit in tried]).double() / 2).softmax(0)[:, None]
     means, deviations = (torch.stack([getattr(fit.prediction, name) for fit in tried]) for name in ("mean", "deviation"))
     mean = (weights * means).sum(0)

@@ -31,8 +31,6 @@ from preimage.network.pdvmrnn import Sensed
 
 SAME_JOINTS = 0.1
 """Joints nearer than this to each other, in the error of their codes, are as good as the same (nats)."""
-SECOND_BLUR = 0.2
-"""Of what has come to stand, on top of the blur it is kept with (heights of a frame): together a quarter of a frame."""
 NETWORK_DEVIATION = 0.15
 """How far a network's imagined ending is taken to be off, as a share of how much endings differ."""
 FINEST = 0.005
@@ -206,8 +204,7 @@ class Recollection:
             return []
         standing = apart(problem.start[0] - memory.first_background)
         come = arrived(problem.start[0], problem.goal[0], memory.background)
-        parts = zip(standing.chunk(2), memory.first_objects.chunk(2, dim=1), strict=True)
-        views = [*parts, (standing, memory.first_objects), (come, memory.arrivals)]
+        views = [*zip(looks_at(standing), looks_at(memory.first_objects), strict=True), (come, memory.arrivals)]
         flat = [(wanted.flatten(), memory.endings(known.flatten(1), "events", k)) for k, (wanted, known) in enumerate(views)]
         coding = problem.model.coding
         return [estimate_of(krige(flat, joints), joints, coding) for joints in memory.event_joints.unbind(1)]
@@ -254,8 +251,8 @@ def views_of(memory: DemonstrationMemory, problem: Problem) -> list[View]:
 
 
 def looks_at(standing: Float[Tensor, "*batch D h w"]) -> list[Float[Tensor, "*batch _ h w"]]:
-    """Ways to look at what stands in a picture: what is brighter there, what is darker, both, and both through the second blur."""
-    return [*standing.chunk(2, dim=-3), standing, blurred(standing, SECOND_BLUR)]
+    """Ways to look at what stands in a picture: what is brighter there, what is darker, and both."""
+    return [*standing.chunk(2, dim=-3), standing]
 
 
 def validate_tensors(tensors: Mapping[str, Tensor]) -> None:

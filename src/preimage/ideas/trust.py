@@ -18,7 +18,7 @@ from torch import Tensor
 
 from preimage.ideas.calibration import Calibration
 from preimage.ideas.image_features import BLUR, apart, arrived, blurred
-from preimage.ideas.kriging import Endings, Kernel, fits, krige_by_all, usual
+from preimage.ideas.kriging import MAX_FIT_POINTS, Endings, Kernel, fits, krige_by_all, usual
 from preimage.ideas.memory import DemonstrationMemory, looks_at
 from preimage.ideas.unseen_parts import FINE_ROWS, in_few_rows, unimagined_thing, unseen_part
 from preimage.network.coding import to_pixels
@@ -78,6 +78,8 @@ MOST_ALIKE = 24
 """Endings, those that look most like the goal, in which its parts are looked for: the others have their hands elsewhere."""
 FINEST_JOINT = 5e-3
 """Difference of joints, as a share of their range, below which they are the same: a code resolves no more."""
+SECOND_BLUR = 0.2
+"""Of what stands at the start, on top of the blur it is kept with (heights of a frame): together a quarter of a frame."""
 START_LENGTH, START_NOISE = 10.0, 1e-2
 """Squared length, in median squared distances, and noise of the kernel between start pictures: a smooth one, by which a scene lies inside
 of those demonstrated or outside (docs/log.md)."""
@@ -171,8 +173,8 @@ class Demonstrated:
     """What stood where when demonstrations began."""
     start_kernel: Kernel
     looks: list[Endings]
-    """Ways to look at the same (`ideas.memory.looks_at`)."""
-    pause_joints: Float[Tensor, "N J"]
+    """The same of M demonstrations, looked at in several ways: with many, some of them tell where there is a pause (`MAX_FIT_POINTS`)."""
+    pause_joints: Float[Tensor, "M J"]
     """In shares of the joints' ranges, as are the other joints here."""
     first_joints: Float[Tensor, "N J"]
     last_frames: Float[Tensor, "N P"]
@@ -192,15 +194,17 @@ class Demonstrated:
         joint_range = plain(model.coding.upper - model.coding.lower)
         arrivals, joints = plain(memory.arrivals).flatten(1), plain(memory.final_joints) / joint_range
         kernel = min(fits(arrivals[0], Endings(arrivals), joints), key=lambda fit: fit.residual).kernel
-        starts = Endings(plain(memory.first_objects).flatten(1))
+        objects = plain(memory.first_objects)
+        starts, count = Endings(objects.flatten(1)), len(objects)
+        some = torch.linspace(0, count - 1, min(count, MAX_FIT_POINTS)).round().long()
         left_out = [(kernel.inverse @ padded(values))[:-1] / kernel.inverse.diagonal()[:-1, None] for values in (arrivals, joints)]
         return cls(
             background=plain(memory.background),
             first_background=plain(memory.first_background),
             starts=starts,
             start_kernel=starts.kernel(START_LENGTH * float(usual(starts.distances)), START_NOISE),
-            looks=[Endings(each.flatten(1)) for each in looks_at(plain(memory.first_objects))],
-            pause_joints=plain(memory.pause_joints) / joint_range,
+            looks=[Endings(each.flatten(1)) for each in looks_at_start(objects[some])],
+            pause_joints=plain(memory.pause_joints)[some] / joint_range,
             first_joints=plain(memory.first_joints) / joint_range,
             last_frames=plain(memory.last_frames).flatten(1),
             final_pictures=to_pixels(memory.final_pictures.cpu().movedim(1, -1)),
@@ -228,9 +232,8 @@ class Demonstrated:
         things = apart(start - self.first_background)
         standing = things.flatten()
         from_starts = self.start_kernel.towards((self.starts.points - standing).square().sum(1))
-        pause = krige_by_all(
-            [(wanted.flatten(), known) for wanted, known in zip(looks_at(things), self.looks, strict=True)], self.pause_joints
-        )
+        wanted = [each.flatten() for each in looks_at_start(things)]
+        pause = krige_by_all(list(zip(wanted, self.looks, strict=True)), self.pause_joints)
         seen, imagined_end = in_few_rows(torch.stack([goal, arrival]))
         finely = in_few_rows(torch.stack([goal, arrival, start, self.background]), FINE_ROWS)
         most_alike = self.final_pictures[(self.final_pictures - seen).square().sum((1, 2, 3)).argsort()[:MOST_ALIKE]]
@@ -262,6 +265,12 @@ class Demonstrated:
         """Joints in shares of their ranges."""
         assert joints is not None
         return torch.from_numpy(joints).double() / self.joint_range
+
+
+def looks_at_start(standing: Float[Tensor, "*batch D h w"]) -> list[Float[Tensor, "*batch _ h w"]]:
+    """Ways to look at what stands at the start (`ideas.memory.looks_at`), and all of it through a second blur: that goes on where the
+    scene is off those demonstrated."""
+    return [*looks_at(standing), blurred(standing, SECOND_BLUR)]
 
 
 def pixels(frame: UInt8[np.ndarray, "H W C"] | None) -> Float[Tensor, "C H W"]:
