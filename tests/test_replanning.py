@@ -8,10 +8,8 @@ import torch
 
 from bars import FULL, PAPER, bar, objective_of, problem_to
 from preimage.ideas.belief import Belief
-from preimage.ideas.last_look import LastLook
 from preimage.ideas.leg import nearest_step
 from preimage.ideas.memory import DemonstrationMemory
-from preimage.ideas.moved_things import MovedThings
 from preimage.ideas.replan_config import ReplanConfig
 from preimage.ideas.replanning import Replanner
 from preimage.ideas.timed_search import ByGaussNewton, Clock, Solution, by_adam
@@ -350,50 +348,3 @@ def test_the_point_of_an_intention_is_found_again(trained: PDVMRNN) -> None:
 def test_a_way_is_entered_where_it_passes_nearest() -> None:
     way = np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 1.0], [1.0, 1.0]])
     assert [nearest_step(way, np.array(at), np.ones(2)) for at in ([0.0, 0.1], [0.1, 1.0], [1.0, 1.0])] == [0, 2, 2]
-
-
-# What is seen
-
-
-def test_at_the_goal_nothing_is_to_be_made_up_for(memory: DemonstrationMemory, trained: PDVMRNN) -> None:
-    problem = problem_to(trained, bar(0.7))
-    look = LastLook(memory)
-    assert look(problem, problem.goal[0]).abs().max() < 1e-6
-    short = problem_to(trained, bar(0.5)).goal[0]
-    missing = look(problem, short)
-    assert missing[0] > 0.05
-    assert missing[1] < -0.025
-
-
-def things(*, at: int) -> torch.Tensor:
-    """A grey table with a dark thing on it."""
-    picture = torch.zeros(1, 32, 32)
-    picture[0, 10:13, at : at + 3] = -0.8
-    return picture
-
-
-@pytest.fixture
-def scene() -> MovedThings:
-    memory = object.__new__(DemonstrationMemory)
-    object.__setattr__(memory, "first_background", torch.zeros(1, 32, 32))
-    return MovedThings(memory)
-
-
-def test_a_thing_that_was_moved_is_found_where_it_stands(scene: MovedThings) -> None:
-    hand = torch.zeros(1, 32, 32)
-    hand[0, 20:30, 5:9] = 0.9
-    wrong = hand.roll(1, dims=2)  # the hand is never quite where it is imagined
-    seen = scene(things(at=8), (things(at=10) + hand)[None], (things(at=8) + wrong)[None])
-    assert seen is not None
-    torch.testing.assert_close(seen, things(at=10), atol=1e-4, rtol=0)
-
-
-@pytest.mark.parametrize("what", ["nothing", "a hand", "covered"])
-def test_where_nothing_was_moved_nothing_is_found(scene: MovedThings, what: str) -> None:
-    start = things(at=8)
-    hand = torch.zeros(1, 32, 32)
-    hand[0, 5:25, 4:20] = 1.8 if what == "covered" else 0.0
-    imagined, sensed = start + hand, (things(at=10) if what == "covered" else start) + hand
-    if what == "a hand":
-        sensed[0, 6:20, 14:18] = 0.9
-    assert scene(start, sensed[None], imagined[None]) is None
