@@ -267,7 +267,7 @@ class Demonstrated:
         return torch.from_numpy(joints).double() / self.joint_range
 
 
-def looks_at_start(standing: Float[Tensor, "*batch D h w"]) -> list[Float[Tensor, "*batch _ h w"]]:
+def looks_at_start(standing: Float[Tensor, "*batch D h w"]) -> list[Float[Tensor, "*batch _ _ _"]]:
     """Ways to look at what stands at the start (`ideas.memory.looks_at`), and all of it through a second blur: that goes on where the
     scene is off those demonstrated."""
     return [*looks_at(standing), blurred(standing, SECOND_BLUR)]
