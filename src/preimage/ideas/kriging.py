@@ -11,7 +11,8 @@ and how well it is says how far to trust the prediction (leave one out; Rasmusse
 (25, True)
 """
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,20 +32,24 @@ MAX_FIT_POINTS = 200
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """How alike endings are, by one length and one noise."""
+    """How alike endings are, by one length and one noise, or by each of several."""
 
-    length: float
-    noise: float
-    inverse: Float[Tensor, "M M"]
+    length: Float[Tensor, "*several"]
+    noise: Float[Tensor, "*several"]
+    inverse: Float[Tensor, "*several M M"]
     """Of the kernel between all endings, with its noise and its border (`bordered`)."""
 
-    def towards(self, distances: Float[Tensor, " N"]) -> Float[Tensor, " M"]:
-        """How alike the endings are to what is so far from them (squared), with the border."""
-        return torch.cat([1 / (1 + distances / self.length), torch.ones(1).double()])
+    def __getitem__(self, which: int) -> "Kernel":
+        return Kernel(self.length[which], self.noise[which], self.inverse[which])
 
-    def variance(self, towards: Float[Tensor, " M"]) -> Float[Tensor, ""]:
+    def towards(self, distances: Float[Tensor, " N"]) -> Float[Tensor, "*several M"]:
+        """How alike the endings are to what is so far from them (squared), with the border."""
+        alike = 1 / (1 + distances / self.length[..., None])
+        return torch.cat([alike, torch.ones_like(alike[..., :1])], -1)
+
+    def variance(self, towards: Float[Tensor, "*several M"]) -> Float[Tensor, "*several"]:
         """Of a prediction for what the endings are so alike to."""
-        return 1 + self.noise - towards @ self.inverse @ towards
+        return 1 + self.noise - (towards * (self.inverse @ towards[..., None])[..., 0]).sum(-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +68,15 @@ class Endings:
         return torch.cdist(self.points, self.points).square()
 
     @cached_property
-    def kernels(self) -> list[Kernel]:
+    def kernels(self) -> Kernel:
         """Those that are tried."""
-        return [self.kernel(scale * float(usual(self.distances)), noise) for scale in SCALES for noise in NOISES]
+        scales, noises = torch.tensor(list(itertools.product(SCALES, NOISES))).double().T
+        return self.kernel(scales * usual(self.distances), noises)
 
-    def kernel(self, length: float, noise: float) -> Kernel:
+    def kernel(self, length: Float[Tensor, "*several"], noise: Float[Tensor, "*several"]) -> Kernel:
         own = torch.cat([torch.ones(len(self.points)), torch.zeros(1)]).double().diag()
-        return Kernel(length, noise, torch.linalg.inv(bordered(1 / (1 + self.distances / length)) + noise * own))
+        alike = bordered(1 / (1 + self.distances / length[..., None, None]))
+        return Kernel(length, noise, torch.linalg.inv(alike + noise[..., None, None] * own))
 
 
 View = tuple[Float[Tensor, " _"], Endings]
@@ -86,12 +93,13 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """What one kernel makes of a view."""
+class Fits:
+    """What each of K kernels makes of a view."""
 
-    kernel: Kernel
-    prediction: Prediction
-    residual: float
+    kernels: Kernel
+    mean: Float[Tensor, "K V"]
+    deviation: Float[Tensor, "K V"]
+    residual: Float[Tensor, " K"]
     """How badly each ending is predicted by all others: the sum of the logarithms of the mean squared leave-one-out residuals."""
 
 
@@ -102,11 +110,13 @@ def krige(views: Sequence[View], values: Float[Tensor, "N V"]) -> Prediction:
     """
     if len(values) == 1:
         return Prediction(values[0], torch.full_like(values[0], torch.inf))
-    tried = [(fit, view) for view in views for fit in fits(*nearest(*view, values))]
-    best, view = min(tried, key=lambda each: each[0].residual)
+    tried = [(fits(*nearest(*view, values)), view) for view in views]
+    found, view = min(tried, key=lambda each: float(each[0].residual.min()))
+    best = int(found.residual.argmin())
     if len(values) > MAX_FIT_POINTS:
-        (best,) = fits(*view, values, kernels=[view[1].kernel(best.kernel.length, best.kernel.noise)])
-    return Prediction(best.prediction.mean.to(values), best.prediction.deviation.to(values))
+        known = found.kernels[best]
+        found, best = fits(*view, values, kernels=view[1].kernel(known.length[None], known.noise[None])), 0
+    return Prediction(found.mean[best].to(values), found.deviation[best].to(values))
 
 
 def krige_by_all(views: Sequence[View], values: Float[Tensor, "N V"]) -> Prediction:
@@ -115,9 +125,9 @@ def krige_by_all(views: Sequence[View], values: Float[Tensor, "N V"]) -> Predict
 
     It is asked of MAX_FIT_POINTS endings at most, the same at every goal, so that matrices are inverted once.
     """
-    tried = [fit for view in views for fit in fits(*view, values)]
-    weights = (-len(values) / IN_COMMON * torch.tensor([fit.residual for fit in tried]).double() / 2).softmax(0)[:, None]
-    means, deviations = (torch.stack([getattr(fit.prediction, name) for fit in tried]) for name in ("mean", "deviation"))
+    tried = [fits(*view, values) for view in views]
+    means, deviations, residuals = (torch.cat([getattr(each, name) for each in tried]) for name in ("mean", "deviation", "residual"))
+    weights = (-len(values) / IN_COMMON * residuals / 2).softmax(0)[:, None]
     mean = (weights * means).sum(0)
     deviation = (weights * (deviations.square() + (means - mean).square())).sum(0).sqrt()
     return Prediction(mean.to(values), deviation.to(values))
@@ -133,25 +143,17 @@ def nearest(
     return wanted, Endings(endings.features[rows]), values[rows]
 
 
-def fits(
-    wanted: Float[Tensor, " F"],
-    endings: Endings,
-    values: Float[Tensor, "N V"],
-    *,
-    kernels: Sequence[Kernel] | None = None,
-) -> Iterator[Fit]:
-    """What each kernel makes of a view, in double precision."""
+def fits(wanted: Float[Tensor, " F"], endings: Endings, values: Float[Tensor, "N V"], *, kernels: Kernel | None = None) -> Fits:
+    """What each of several kernels makes of a view, in double precision."""
     asked, known = (each.double().cpu() for each in (wanted[None], values))
-    targets = torch.cat([known, known.new_zeros(1, known.shape[1])])
-    ways = torch.cdist(asked, endings.points)[0].square()
-    for kernel in kernels or endings.kernels:
-        towards = kernel.towards(ways)
-        weights = kernel.inverse @ targets  # of the endings, and the mean
-        variances = 1 / kernel.inverse.diagonal()[:-1, None]  # of each ending, the others known
-        residuals = variances * weights[:-1]
-        deviation = (kernel.variance(towards) * (residuals.square() / variances).mean(0)).clamp(min=0).sqrt()
-        residual = float(residuals.square().mean(0).clamp(min=1e-12).log().sum())
-        yield Fit(kernel, Prediction(towards @ weights, deviation), residual)
+    kernels = kernels or endings.kernels
+    towards = kernels.towards(torch.cdist(asked, endings.points)[0].square())
+    weights = kernels.inverse @ torch.cat([known, known.new_zeros(1, known.shape[1])])  # of the endings, and the mean
+    variances = 1 / kernels.inverse.diagonal(dim1=-2, dim2=-1)[:, :-1, None]  # of each ending, the others known
+    residuals = variances * weights[:, :-1]
+    deviation = kernels.variance(towards)[:, None] * (residuals.square() / variances).mean(1)
+    residual = residuals.square().mean(1).clamp(min=1e-12).log().sum(1)
+    return Fits(kernels, (towards[:, None] @ weights)[:, 0], deviation.clamp(min=0).sqrt(), residual)
 
 
 def in_own_units(rows: Float[Tensor, "M F"]) -> Float[Tensor, "M F"]:
@@ -164,7 +166,8 @@ def usual(distances: Float[Tensor, "N N"]) -> Float[Tensor, ""]:
     return distances[distances > 0].median() if bool((distances > 0).any()) else distances.new_ones(())
 
 
-def bordered(kernel: Float[Tensor, "N N"]) -> Float[Tensor, "M M"]:
+def bordered(kernel: Float[Tensor, "*several N N"]) -> Float[Tensor, "*several M M"]:
     """The kernel with a row and a column of ones: what the weights have to sum to zero for, so that the mean is free."""
-    border = kernel.new_ones(len(kernel), 1)
-    return torch.cat([torch.cat([kernel, border], 1), torch.cat([border.T, kernel.new_zeros(1, 1)], 1)])
+    framed = torch.nn.functional.pad(kernel, (0, 1, 0, 1), value=1.0)
+    framed[..., -1, -1] = 0
+    return framed

@@ -193,7 +193,8 @@ class Demonstrated:
     def of(cls, memory: DemonstrationMemory, model: PDVMRNN) -> "Demonstrated":
         joint_range = plain(model.coding.upper - model.coding.lower)
         arrivals, joints = plain(memory.arrivals).flatten(1), plain(memory.final_joints) / joint_range
-        kernel = min(fits(arrivals[0], Endings(arrivals), joints), key=lambda fit: fit.residual).kernel
+        tried = fits(arrivals[0], Endings(arrivals), joints)
+        kernel = tried.kernels[int(tried.residual.argmin())]
         objects = plain(memory.first_objects)
         starts, count = Endings(objects.flatten(1)), len(objects)
         some = torch.linspace(0, count - 1, min(count, MAX_FIT_POINTS)).round().long()
@@ -202,7 +203,7 @@ class Demonstrated:
             background=plain(memory.background),
             first_background=plain(memory.first_background),
             starts=starts,
-            start_kernel=starts.kernel(START_LENGTH * float(usual(starts.distances)), START_NOISE),
+            start_kernel=starts.kernel(START_LENGTH * usual(starts.distances), torch.tensor(START_NOISE).double()),
             looks=[Endings(each.flatten(1)) for each in looks_at_start(objects[some])],
             pause_joints=plain(memory.pause_joints)[some] / joint_range,
             first_joints=plain(memory.first_joints) / joint_range,
