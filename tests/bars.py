@@ -20,7 +20,7 @@ EXACT = PlanConfig(precision="float32")
 PAPER = PlanOptions(precision="float32")
 REGRESSION = replace(PlanOptions.regression(), precision="float32")
 SOLVED = replace(REGRESSION, search="gauss_newton", candidates=4, iterations=40, dimensions=32)
-FULL = replace(PlanOptions.full(), precision="float32", test_time_augmentation=0.0, tolerance=0.0)
+FULL = replace(PlanOptions.full(), precision="float32", tolerance=0.0)
 """The presets in the precision that tests compare in; of all ideas those are left out that blur what is compared."""
 
 

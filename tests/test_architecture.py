@@ -35,7 +35,7 @@ MADE_OF = {  # an idea -> the ideas that it is made of
     "memory": {"gripper_events", "image_features", "kriging", "pauses", "unseen_parts"},
     "mixup": {"image_features"},
     "trust": {"calibration", "image_features", "kriging", "memory", "unseen_parts"},
-    "moved_things": {"memory", "test_time_augmentation"},
+    "moved_things": {"memory"},
     "leg": {"belief", "timed_search", "underway"},
     "replanning": {"belief", "gripper_events", "leg", "replan_config", "timed_search", "underway"},
     "timed_search": {"gauss_newton", "residuals"},

@@ -13,7 +13,7 @@ from pathlib import Path
 import preimage as pi
 from preimage.network import engines
 engines.ENGINES[:] = []  # compiling would take longer than all plans
-few = {"iterations": 0, "horizon": 2, "dimensions": 2, "test_time_augmentation": 0.0, "precision": "float32"}
+few = {"iterations": 0, "horizon": 2, "dimensions": 2, "precision": "float32"}
 options = replace(pi.PlanOptions.full(), **few)
 without, searching = (pi.load_planner(sys.argv[1], replace(options, iterations=count)) for count in (0, 1))
 goal, count = pi.Percept(pi.read_shown(Path(sys.argv[1]))[0].last_frame), int(sys.argv[2])

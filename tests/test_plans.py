@@ -12,7 +12,7 @@ import pytest
 
 from preimage.cli.acting import sentences_of
 from preimage.data.dataset import load
-from preimage.records import Percept, Plan, Scene, Spread, Stopped
+from preimage.records import Percept, Plan, Scene, Stopped
 from preimage.report import figures
 from preimage.report.figures import figure
 from preimage.storage.plans import load_plan, save_episode, save_plan
@@ -46,8 +46,7 @@ def assert_equal(one, other) -> None:
 @pytest.mark.parametrize("scene", [None, SCENE])
 @pytest.mark.parametrize("expected_joints", [None, np.array([[0.1, -0.2], [0.3, 0.4]])])
 def test_load_undoes_save(tmp_path, goal, scene, expected_joints):
-    spread = None if expected_joints is None else Spread(0.01, 0.002)
-    plan = dataclasses.replace(make_plan(goal=goal), expected_joints=expected_joints, spread=spread)
+    plan = dataclasses.replace(make_plan(goal=goal), expected_joints=expected_joints)
     save_plan(plan, tmp_path / "new" / "plan", scene=scene)
     loaded, loaded_scene = load_plan(tmp_path / "new" / "plan")
     assert_equal(plan, loaded)

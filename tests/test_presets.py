@@ -15,7 +15,7 @@ from preimage.evaluation import demo
 from preimage.ideas.memory import DemonstrationMemory
 from preimage.method.config import PlanConfig, TrainConfig
 from preimage.method.error_regression import adam
-from preimage.method.plan import draft_of, random_guesses
+from preimage.method.plan import random_guesses
 from preimage.network.config import ModelConfig
 from preimage.network.inputs import home
 from preimage.network.pdvmrnn import PDVMRNN
@@ -31,7 +31,7 @@ def test_the_paper_has_no_idea() -> None:
     assert paper == PlanOptions()
     assert {field.name: getattr(paper, field.name) for field in fields(PlanConfig)} == vars(PlanConfig())
     ideas = paper.ideas(None)
-    assert (ideas.initial_guess, ideas.search, ideas.first_draft) == (random_guesses, adam, None)
+    assert (ideas.initial_guess, ideas.search) == (random_guesses, adam)
     assert (list(ideas.terms), list(ideas.corrections)) == ([], [])
     assert TrainOptions().augmentations() == []
 
@@ -56,7 +56,6 @@ SWITCHES: dict[str, Any] = {
     "guess": "nearest",
     "hold_goal": True,
     "expected_joints": True,
-    "test_time_augmentation": 0.03,
     "end_correction": True,
     "gripper_events": True,
 }
@@ -65,7 +64,7 @@ SWITCHES: dict[str, Any] = {
 def parts(options: PlanOptions, memory: DemonstrationMemory) -> list[str]:
     """What plans are made with, by name."""
     ideas = options.ideas(memory)
-    made_of = [ideas.initial_guess, ideas.search, *ideas.terms, ideas.first_draft or draft_of, *ideas.corrections]
+    made_of = [ideas.initial_guess, ideas.search, *ideas.terms, *ideas.corrections]
     return [getattr(part, "__name__", type(part).__name__) for part in made_of]
 
 

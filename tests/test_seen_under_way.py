@@ -6,7 +6,7 @@ import torch
 from bars import bar, problem_to
 from preimage.ideas.last_look import LastLook
 from preimage.ideas.memory import DemonstrationMemory
-from preimage.ideas.moved_things import MovedThings
+from preimage.ideas.moved_things import MovedThings, shifted
 from preimage.network.pdvmrnn import PDVMRNN
 
 
@@ -52,3 +52,22 @@ def test_where_nothing_was_moved_nothing_is_found(scene: MovedThings, what: str)
     if what == "a hand":
         sensed[0, 6:20, 14:18] = 0.9
     assert scene(start, sensed[None], imagined[None]) is None
+
+
+def pictures(count: int = 1) -> torch.Tensor:
+    return torch.rand(count, 2, 6, 8, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize(("right", "down"), [(0, 0), (1, 0), (0, 2), (2, 1), (3, 3)])
+def test_a_shift_by_whole_pixels_moves_them_as_they_are(right: int, down: int) -> None:
+    one = pictures()
+    moved = shifted(one, torch.tensor([[float(right), float(down)]]))
+    torch.testing.assert_close(moved[..., down:, right:], one[..., : 6 - down, : 8 - right])
+    torch.testing.assert_close(moved[0, :, :down, right:], one[0, :, :1, : 8 - right].expand(-1, down, -1))  # the edge goes on
+
+
+def test_each_picture_is_moved_by_its_own_shift() -> None:
+    two = pictures(2)
+    together = shifted(two, torch.tensor([[0.5, -1.0], [-2.0, 0.25]]))
+    apart = torch.cat([shifted(two[:1], torch.tensor([[0.5, -1.0]])), shifted(two[1:], torch.tensor([[-2.0, 0.25]]))])
+    torch.testing.assert_close(together, apart)

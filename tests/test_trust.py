@@ -78,16 +78,6 @@ def test_all_evidence_has_words(planner: Planner) -> None:
     assert set(planner.assessment.evidence(planner.plan(goal=Percept(bar(0.5).last.frame)))) <= set(REASONS)
 
 
-def test_a_start_looked_at_from_all_sides_says_how_much_hangs_on_it(trained, memory) -> None:
-    evidence = []
-    for by in (1e-4, 0.03):
-        trust = Planner(trained, memory, replace(QUICK, test_time_augmentation=by)).plan(goal=Percept(bar(0.5).last.frame)).trust
-        assert trust is not None
-        evidence.append(trust.evidence)
-    little, more = evidence
-    assert all(little[name] < more[name] for name in ("spread_joints", "spread_picture"))
-
-
 def test_a_way_that_passes_elsewhere_than_demonstrations_pause_is_told(planner: Planner) -> None:
     found = planner.plan(start=bar(0.5).first, goal=Percept(bar(0.7).last.frame))
     aside = replace(found, joints=found.joints + 0.3 * np.ptp(found.joints, axis=0))

@@ -211,16 +211,6 @@ def verdict_of(unexplained: float | None) -> Verdict | None:
 
 
 @dataclass(frozen=True)
-class Spread:
-    """How far apart ways are that are imagined from the start frame as it is and moved a little to all sides."""
-
-    joints: float
-    """Root mean square of the deviations among them, over the steps up to the arrival and all joints, in shares of the joints' ranges."""
-    picture: float
-    """Variance among the pictures of the arrival, mean over pixels (half ranges, squared)."""
-
-
-@dataclass(frozen=True)
 class Trust:
     """How far a plan is to be trusted, said before anything moves.
 
@@ -288,8 +278,6 @@ class Plan:
     """The joints as the network imagines them, before anything was corrected."""
     expected_joints: Float[np.ndarray, "M J"] | None = None
     """The joints that memory alone expects at gripper events and, last, at the goal, where it was asked."""
-    spread: Spread | None = None
-    """How far it changes with the start frame, where its joints are the mean over several."""
     trust: Trust | None = None
     """How far it is to be trusted; None where nobody asked."""
     legs: tuple["Plan", ...] = ()

@@ -37,7 +37,6 @@ SWITCHES: dict[str, tuple[str, ...]] = {
     "kriged guess": ("guess", "candidates"),
     "Gauss-Newton": ("search", "iterations", "dimensions"),
     "expected joints": ("expected_joints",),
-    "test-time augmentation": ("test_time_augmentation",),
     "end correction": ("end_correction",),
     "gripper events": ("gripper_events",),
 }

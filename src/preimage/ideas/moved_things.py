@@ -16,10 +16,9 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from preimage.ideas.memory import DemonstrationMemory
-from preimage.ideas.test_time_augmentation import shifted
 
 REACH = 0.08
 """How far a thing may have been moved at once, in heights of a frame."""
@@ -99,3 +98,21 @@ def best_among(
     looked_at = error.where(changes[best].abs() > FAINT, 0.0)
     likeness = float(there[best]) / (size**0.5 * float(looked_at.norm().clamp(min=1e-9)))
     return Shift(shifts[best], float(there[best]) / size, likeness)
+
+
+def shifted(pictures: Float[Tensor, "B C H W"], by: Float[Tensor, "B 2"]) -> Float[Tensor, "B C H W"]:
+    """Each picture moved to the right and down by so many pixels, between pixels linearly; at the edges it goes on as it ends.
+
+    Args:
+        by: pixels to the right and down.
+
+    >>> dot = torch.zeros(1, 1, 4, 4)
+    >>> dot[0, 0, 1, 1] = 1.0
+    >>> shifted(dot, torch.tensor([[0.5, 1.0]]))[0, 0].tolist()  # half a pixel to the right, one down
+    [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.5, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0]]
+    """
+    height, width = pictures.shape[-2:]
+    here = torch.eye(2, device=by.device, dtype=by.dtype).expand(len(by), 2, 2)
+    moved = torch.cat([here, -2 * torch.stack([by[:, 0] / width, by[:, 1] / height], dim=-1)[..., None]], dim=-1)
+    places = nn.functional.affine_grid(moved, list(pictures.shape), align_corners=False)
+    return nn.functional.grid_sample(pictures, places, padding_mode="border", align_corners=False)

@@ -31,7 +31,6 @@ NEVER_SEEN = "part of the goal looks like nothing that was demonstrated or is im
 OFF_DEMONSTRATED = "the goal is off what was demonstrated"
 DISAGREE = "memory and imagination disagree about the joints"
 SEVERAL = "several futures fit equally well"
-UNSURE = "a start that looks a little otherwise leads elsewhere"
 ALREADY_THERE = "the goal is, nearly, the start"
 REASONS = {
     "unexplained": NOT_IMAGINED,
@@ -53,13 +52,11 @@ REASONS = {
     "uncertainty": OFF_DEMONSTRATED,
     "ambiguity": SEVERAL,
     "little_change": ALREADY_THERE,
-    "spread_joints": UNSURE,
-    "spread_picture": UNSURE,
 }
 """The evidence by name, and what it says in words where there is much of it."""
 REFUSING = "goal_part", "unimagined_thing"
 """Evidence of what cannot be. A hand between demonstrated hands is strange by it too, and reached, so it says nothing of how likely."""
-LIKELY_ONLY = "start_uncertainty", "off_pause", "pause_uncertainty", "spread_joints", "spread_picture"
+LIKELY_ONLY = "start_uncertainty", "off_pause", "pause_uncertainty"
 """Evidence that refuses nothing: it tells of the start and what follows from it more than of the goal, and a few strange starts among
 those that are reached would let all goals pass."""
 PLACE = 1 / 16
@@ -139,9 +136,6 @@ class Assessment:
             found["unexplained"] = log(plan.unexplained, 1e-4)
         start, first, arrival = (pixels(frame) for frame in (plan.start.frame, plan.frames[0], plan.frames[plan.arrival_step]))
         found["start_residual"] = log(worst_place(first - start), FINEST_PIXEL)
-        if plan.spread is not None:
-            found["spread_joints"] = log(plan.spread.joints)
-            found["spread_picture"] = log(plan.spread.picture, FINEST_PIXEL)
         if plan.goal.frame is not None:
             goal = pixels(plan.goal.frame)
             found["goal_residual"] = log((arrival - goal).square().mean(), FINEST_PIXEL)

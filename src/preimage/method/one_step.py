@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from preimage.method.seam import Looks, Policy, one_look
+from preimage.method.seam import Policy
 from preimage.network.inputs import as_inputs
 from preimage.network.intention import unflatten
 from preimage.network.pdvmrnn import PDVMRNN
@@ -20,13 +20,10 @@ from preimage.records import Percept, Plan
 
 
 @torch.no_grad()
-def follow(model: PDVMRNN, plan: Plan, *, looks: Looks = one_look) -> Policy:
+def follow(model: PDVMRNN, plan: Plan) -> Policy:
     """A policy that predicts the next joints (rad; gripper: m) from what is sensed, step by step, under the intention of a plan.
 
     It is asked once a step, first when the robot stands where the plan starts.
-
-    Args:
-        looks: the frames that are looked at in place of a sensed one; what is predicted is the mean of all.
 
     Raises:
         ValueError: the plan is of several legs, or a percept does not fit the model.
@@ -37,14 +34,13 @@ def follow(model: PDVMRNN, plan: Plan, *, looks: Looks = one_look) -> Policy:
     here_and_next = itertools.chain(itertools.pairwise(corrections), itertools.repeat((corrections[-1], corrections[-1])))
     start = as_inputs(model, plan.start, name="start")
     intention = unflatten(torch.from_numpy(plan.intention).to(model.home_joints)[None], model.intention_table.shapes)
-    forward, num_looks = model.at(model.pixel_bias.dtype), len(looks(start[0]))
-    states = model.initial_states(intention[torch.zeros(num_looks, dtype=torch.long)])
+    forward, states = model.at(model.pixel_bias.dtype), model.initial_states(intention)
 
     @torch.no_grad()
     def predict(pixels: Float[Tensor, "C H W"], codes: Float[Tensor, "J K"]) -> Float[np.ndarray, " J"]:
         nonlocal states
-        (_, log_codes), states = forward((looks(pixels), codes.expand(num_looks, *codes.shape)), states)
-        return model.coding.decode(log_codes.exp()).double().mean(0).cpu().numpy()
+        (_, log_codes), states = forward((pixels[None], codes[None]), states)
+        return model.coding.decode(log_codes.exp())[0].double().cpu().numpy()
 
     predict(*start)  # output t is the prediction of percept t, so the first predicts the start itself
 

@@ -59,7 +59,7 @@ def plan(
     problem = Problem.between(model, start, goal, config)
     objective = objective_of(problem, ideas)
     found = regress(problem, objective, ideas)
-    draft = (ideas.first_draft or draft_of)(found.best, problem, objective, generated=found.best_generated)
+    draft = draft_of(found.best, problem, objective, generated=found.best_generated)
     for correct in ideas.corrections:
         draft = correct(draft, problem, objective)
     errors, seconds = found.errors.double().cpu().numpy(), time.perf_counter() - began

@@ -4,10 +4,9 @@
     InitialGuess     problem, objective, generator -> coordinates       where a search begins
     Search           problem, objective, coordinates -> Regression      how an intention is moved
     ErrorTerm        generated -> error a step                  what is added to the error of the goal
-    FirstDraft       intention, problem, objective -> Draft     what is imagined from the intention that was found
     PlanCorrection   draft, problem -> draft                    what is made of a plan that was found
 
-`Ideas()` is the paper: random guesses, Adam, the goal's own error, one imagination, nothing corrected.
+`Ideas()` is the paper: random guesses, Adam, the goal's own error, nothing corrected.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,7 +26,7 @@ from preimage.network.coding import to_frames
 from preimage.network.inputs import as_inputs, home
 from preimage.network.intention import IntentionSpace, IntentionState
 from preimage.network.pdvmrnn import PDVMRNN, Generated, Sensed
-from preimage.records import Percept, Plan, Spread, Stopped
+from preimage.records import Percept, Plan, Stopped
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,8 +197,6 @@ class Draft:
     """The joints as the network imagines them, before anything was corrected."""
     expected: Float[Tensor, "M J"] | None = None
     """Joints that are known from elsewhere, on the way and, last, at the goal."""
-    spread: Spread | None = None
-    """How far what is imagined changes with the start frame, where that was looked at."""
 
     def plan(self, problem: Problem, *, start: Percept, goal: Percept, errors: np.ndarray, stopped: Stopped, seconds: float) -> Plan:
         """The record that leaves the method."""
@@ -219,16 +216,7 @@ class Draft:
             seconds=seconds,
             imagined_joints=self.imagined.cpu().numpy(),
             expected_joints=None if self.expected is None else self.expected.double().cpu().numpy(),
-            spread=self.spread,
         )
-
-
-class FirstDraft(Protocol):
-    """The draft of an intention; what is imagined from it is given where it is known."""
-
-    def __call__(
-        self, intention: IntentionState, problem: Problem, objective: Objective, *, generated: Generated | None = None
-    ) -> Draft: ...
 
 
 class PlanCorrection(Protocol):
@@ -239,15 +227,6 @@ class PlanCorrection(Protocol):
 
 Policy = Callable[[Percept], Float[np.ndarray, " J"]]
 """From what is sensed to the next joints."""
-Looks = Callable[[Float[Tensor, "C H W"]], Float[Tensor, "looks C H W"]]
-"""The frames that are looked at in place of a sensed one."""
-
-
-def one_look(pixels: Float[Tensor, "C H W"]) -> Float[Tensor, "looks C H W"]:
-    """The sensed frame alone."""
-    return pixels[None]
-
-
 TermsOf = Callable[[Problem, Sequence[ErrorTerm]], Sequence[ErrorTerm]]
 """The terms of the goal's error with those of an idea added."""
 
@@ -259,5 +238,4 @@ class Ideas:
     initial_guess: InitialGuess | None = None
     search: Search | None = None
     terms: Sequence[TermsOf] = field(default=())
-    first_draft: FirstDraft | None = None
     corrections: Sequence[PlanCorrection] = field(default=())

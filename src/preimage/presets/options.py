@@ -14,7 +14,6 @@ from preimage.network.ranges import validate
 if TYPE_CHECKING:
     from preimage.ideas.gauss_newton import GaussNewton
     from preimage.ideas.memory import DemonstrationMemory
-    from preimage.ideas.test_time_augmentation import TestTimeAugmentation
     from preimage.ideas.watched import See
     from preimage.method.seam import Augmentation, Ideas, PlanCorrection, TermsOf
 
@@ -81,8 +80,6 @@ class PlanOptions(PlanConfig):
     """Share of the error of staying at the start at which a search by gauss_newton ends."""
     finite_difference_step: float = 0.15
     """How far gauss_newton changes each number to see what it does, in standard deviations."""
-    test_time_augmentation: float = 0.0
-    """Heights of a frame by which the start frame is moved, to eight sides; the way is the mean of what is imagined from all."""
     end_correction: bool = False
     """Whether a plan ends between the joints that are imagined and those that memory expects, or in those that are asked for."""
     gripper_events: bool = False
@@ -92,7 +89,7 @@ class PlanOptions(PlanConfig):
         super().__post_init__()
         validate(
             self,
-            at_least=dict.fromkeys(("tolerance", "test_time_augmentation"), 0),
+            at_least={"tolerance": 0},
             above_zero=("finite_difference_step",),
         )
         for name, known in {"search": ("adam", "gauss_newton"), "guess": ("random", "nearest", "kriged")}.items():
@@ -109,7 +106,7 @@ class PlanOptions(PlanConfig):
         """All ideas. The search begins beside the goal, in intentions of few numbers, and is done sooner."""
         return replace(
             cls.regression(), search="gauss_newton", guess="kriged", candidates=1, iterations=12, dimensions=32, expected_joints=True,
-            tolerance=0.003, test_time_augmentation=0.03, end_correction=True, gripper_events=True,
+            tolerance=0.003, end_correction=True, gripper_events=True,
         )  # fmt: skip
 
     @classmethod
@@ -141,11 +138,6 @@ class PlanOptions(PlanConfig):
 
         endings = None if memory is None else lambda problem: memory.about(problem).last_percepts
         return GaussNewton(self.iterations, self.finite_difference_step, tolerance, endings)
-
-    def augmentation(self) -> "TestTimeAugmentation | None":
-        from preimage.ideas.test_time_augmentation import TestTimeAugmentation
-
-        return TestTimeAugmentation(self.test_time_augmentation) if self.test_time_augmentation else None
 
     def ideas(self, memory: "DemonstrationMemory | None", see: "See | None" = None) -> "Ideas":
         """What `method.plan` is given.
@@ -184,4 +176,4 @@ class PlanOptions(PlanConfig):
                 terms.append(ArriveAfterEvents(memory.event_joint, memory.num_events))
             if self.end_correction or self.gripper_events:
                 corrections.append(EndCorrection(memory, at_goal=self.end_correction, at_events=self.gripper_events))
-        return Ideas(guess, search, terms, self.augmentation(), corrections)
+        return Ideas(guess, search, terms, corrections)

@@ -100,26 +100,22 @@ class Planner:
     def imagine_without_goal(self, start: "Percept") -> "Plan":
         """What is imagined when nothing is wanted (`ideas.no_goal`)."""
         from preimage.ideas.no_goal import imagine_without_goal
-        from preimage.method.seam import Ideas
 
-        ideas = Ideas(first_draft=self.options.augmentation())
-        return imagine_without_goal(self.model, start, config=self.options, ideas=ideas)
+        return imagine_without_goal(self.model, start, config=self.options)
 
     def follow(self, plan: "Plan") -> "Policy":
         """One-step prediction under a plan's intention (`method.one_step.follow`); of several legs, of each up to its arrival."""
         from preimage.ideas.waypoints import follow_in_turn
         from preimage.method.one_step import follow
-        from preimage.method.seam import one_look
 
         if plan.legs:
             return follow_in_turn(self.follow, plan.legs)
-        augmentation = self.options.augmentation()
-        return follow(self.model, plan, looks=augmentation.looks if augmentation else one_look)
+        return follow(self.model, plan)
 
     def replanner(
         self, *, goals: "Sequence[Percept]", settings: ReplanConfig | None = None, found: "Plan | None" = None, **more: Any
     ) -> "Replanner":
-        """What plans anew at every step while the robot moves (`ideas.replanning`); looks moved a little are for first plans alone.
+        """What plans anew at every step while the robot moves (`ideas.replanning`).
 
         Args:
             found: a plan to the first goal, where there is one already.
@@ -130,7 +126,7 @@ class Planner:
         from preimage.ideas.moved_things import MovedThings
         from preimage.ideas.replanning import Replanner
 
-        memory, options = self.memory, replace(self.options, test_time_augmentation=0.0)
+        memory, options = self.memory, self.options
         handles = memory is not None and memory.num_events > 0
         looks = memory is not None and options.end_correction and options.modalities == "vision" and not handles
         ideas = options.ideas(memory)

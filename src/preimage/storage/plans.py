@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from preimage.data.lerobot_writer import write_files
-from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Body, Demonstration, Percept, Plan, Scene, Spread, Stopped, Trust, scene_of
+from preimage.records import HIGHEST_RATE_HZ, LOWEST_RATE_HZ, Body, Demonstration, Percept, Plan, Scene, Stopped, Trust, scene_of
 from preimage.storage.atomic_write import atomic_write, write_json
 from preimage.storage.output_folders import Kind, is_regular_file, output_folder
 from preimage.storage.reading import read_arrays, read_json, record_of
@@ -81,7 +81,7 @@ def save_plan(
             write_commands(file, commands, plan.joint_names, rate_hz=rate_hz or plan.rate_hz)
         facts = {name: getattr(plan, name) for name in (*NUMBERS, "unexplained")}
         facts |= {"joint_names": plan.joint_names, "stopped": plan.stopped.name, "scene": asdict(scene) if scene else None}
-        facts |= {name: asdict(value) for name, value in (("spread", plan.spread), ("trust", plan.trust)) if value}
+        facts |= {"trust": asdict(plan.trust)} if plan.trust else {}
         about.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
 
 
@@ -151,7 +151,6 @@ def load_plan(folder: Path | str) -> tuple[Plan, Scene | None]:
         validate_facts(about)
         validate_arrays(parts, about)
         scene = scene_of(about["scene"])
-        spread = None if about.get("spread") is None else record_of(Spread, about["spread"])
         trust = None if about.get("trust") is None else record_of(Trust, about["trust"])
     except ValueError as error:
         raise ValueError(f"the plan in {folder} cannot be read ({error}): plan again") from error
@@ -164,7 +163,6 @@ def load_plan(folder: Path | str) -> tuple[Plan, Scene | None]:
         joint_names=tuple(about["joint_names"]),
         stopped=Stopped[about["stopped"]],
         unexplained=about.get("unexplained"),
-        spread=spread,
         trust=trust,
         **{name: about[name] for name in NUMBERS},
     )
