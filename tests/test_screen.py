@@ -45,6 +45,16 @@ def test_a_work_that_goes_on_counts_the_time_of_what_it_did_itself(clock, capsys
     assert capsys.readouterr().err.splitlines() == ["training: 95 of 100, about 10 s left"]
 
 
+def test_what_is_prepared_before_the_first_is_not_taken_for_its_time(clock, capsys, monkeypatch):
+    """Goals are drawn for minutes before the first is planned to: "1 of 675, about 45 hours left"."""
+    monkeypatch.setattr(screen, "LINE_EVERY_S", 30.0)
+    with screen.following("calibrating", total=60) as follow:
+        for done in range(1, 20):
+            clock[0] = 240 + 2.0 * done
+            follow(done=done)
+    assert capsys.readouterr().err.splitlines() == ["calibrating: 1 of 60", "calibrating: 16 of 60, about 1.5 minutes left"]
+
+
 def test_a_short_work_says_nothing_in_a_log(capsys):
     assert list(screen.followed("abc", "reading")) == ["a", "b", "c"]
     with screen.waiting("planning"):

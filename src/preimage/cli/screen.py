@@ -48,12 +48,13 @@ def following(what: str, *, total: int | None = None, shown: bool = True) -> Ite
 def in_lines(what: str, total: int | None = None) -> Follow:
     """A function by which a work says how far it is, in a line of the log now and then."""
     began = last = time.monotonic()
-    of_all, before = total, None  # what was done before, where a work goes on, took none of this time
+    of_all, before = total, None  # what was done before, where a work goes on, took none of this time, and preparations are no part of it
 
     def say(*, done: int, total: int | None = None, text: str = "") -> None:
-        nonlocal last, of_all, before
+        nonlocal began, last, of_all, before
         of_all, now = total or of_all, time.monotonic()
-        before = max(0, done - 1) if before is None else before
+        if before is None:
+            began, before = now, done
         if now - last < LINE_EVERY_S:
             return
         last = now
