@@ -181,6 +181,15 @@ def test_a_plan_is_as_long_as_the_longest_demonstration_or_the_horizon(trained: 
     assert lengths == [6, 4, 9]
 
 
+def test_what_gauss_newton_has_imagined_is_not_imagined_again(trained: PDVMRNN, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts: list[int] = []
+    imagine = PDVMRNN.generate_closed_loop
+    monkeypatch.setattr(PDVMRNN, "generate_closed_loop", lambda *given, **more: (counts.append(len(given[1])), imagine(*given, **more))[1])
+    Planner(trained, None, replace(SOLVED, iterations=3, candidates=2)).plan(goal=bar(0.3).last)
+    assert counts
+    assert 1 not in counts
+
+
 def test_without_a_goal_the_intention_is_the_prior_mean(trained: PDVMRNN) -> None:
     found = imagine_without_goal(trained, bar(0.3).first, config=EXACT)
     prior = trained.intention_table.prior_mean(1).flatten()[0]
