@@ -42,9 +42,15 @@ def test_a_clock_is_no_joint_in_any_column_and_unit(tmp_path, name, column, rate
     np.testing.assert_allclose(np.diff(episode.timestamps_s), 0.1, atol=1e-3)
 
 
-def test_a_clock_of_ros_in_two_columns_and_a_date_are_clocks(tmp_path):
-    ros = as_table(["header.stamp.secs", "header.stamp.nsecs", *NAMES], lambda step, joints: [step // 10, step % 10 * 10**8, *joints])
-    assert_read_right(write_plain(tmp_path / "ros", ros, rate=None))
+@pytest.mark.parametrize("names", [("header.stamp.secs", "header.stamp.nsecs"), ("sec", "nanosec"), ("secs", "nsecs")])
+@pytest.mark.parametrize("rate", ["10", None])
+def test_a_clock_of_ros_in_two_columns_is_one(tmp_path, names, rate):
+    """Once the nanoseconds, which fall every second, were a joint where nothing else in their name told of time."""
+    ros = as_table([*names, *NAMES], lambda step, joints: [step // 10, step % 10 * 10**8, *joints])
+    assert_read_right(write_plain(tmp_path / "ros", ros, rate=rate))
+
+
+def test_a_date_is_a_clock(tmp_path):
     date = as_table(["time", *NAMES], lambda step, joints: [f"2024-05-01 12:00:{step // 10:02d}.{step % 10}00", *joints])
     assert_read_right(write_plain(tmp_path / "date", date, rate=None))
 
@@ -161,6 +167,22 @@ def test_velocities_and_efforts_beside_positions_are_asked_about(tmp_path):
     assert open_recordings(folder, view=View(joints=tuple(names))).demonstrations[0].joint_names == tuple(names)
     alone = write_v2(tmp_path / "alone", names=["x.vel", "y.vel"])  # a robot that is commanded velocities has nothing else
     assert_read_right(alone, ("x.vel", "y.vel"))
+
+
+def test_commands_are_asked_about_where_velocities_are_too_and_the_answer_leaves_out_both(tmp_path):
+    """Once who did as the question said, and left the velocities out, had named the commands as joints."""
+    commanded = [(frames, np.c_[joints, np.r_[joints[1:], joints[-1:]], np.gradient(joints, axis=0)]) for frames, joints in EIGHT]
+    names = ["a", "b", "action_a", "action_b", "vel_a", "vel_b"]
+    folder = write_v2(tmp_path / "data", commanded, names=names)
+    assert_refused_alike(folder, "vel_a, vel_b are no positions by name, .*: leave them out by --view.joints a b")
+    (_, commands) = (each for each in checked(folder).findings if each.kind is Kind.COUNTER)
+    assert commands.joints == ("action_a", "action_b")
+
+
+def test_what_an_environment_says_of_a_step_is_asked_about(tmp_path):
+    told = as_table([*NAMES, "done", "success"], lambda step, joints: [*joints, step > 7, step > 7])
+    folder = write_plain(tmp_path / "data", told)
+    assert_refused_alike(folder, f"done, success are no positions by name, .*: leave them out by --view.joints {' '.join(NAMES)}")
 
 
 @pytest.mark.parametrize("values", [[0.0, np.inf, np.inf, 3.0], [np.nan, 0.1, 0.2, 0.3]])

@@ -42,6 +42,14 @@ def add_times(folder: Path, times: list[float]) -> None:
     table.write_text("\n".join([f"time_s,{head}", *(f"{time},{row}" for time, row in zip(times, rows, strict=True))]))
 
 
+def test_columns_are_told_by_their_names_in_whatever_order_an_episode_has_them(folder):
+    before = [one.joints for one in load(folder)]
+    path = folder / "take 9/joints.csv"
+    path.write_text("\n".join(",".join(reversed(row.split(","))) for row in path.read_text().splitlines()))
+    for one, joints in zip(load(folder), before, strict=True):
+        np.testing.assert_array_equal(one.joints, joints)
+
+
 def test_pictures_may_be_jpeg_and_other_files_lie_beside_them(folder):
     take = folder / "take 8"
     for path in take.glob("*.png"):

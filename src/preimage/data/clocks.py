@@ -64,6 +64,30 @@ def unit_of(name: str) -> str | None:
     return found[-1] if found else None
 
 
+Columns = Mapping[str, Float[np.ndarray, " T"]]
+
+
+def clocks_among(columns: Columns) -> Columns:
+    """The columns of a table that are clocks: by their names, or because they may be by their names and rise at every step, alone or with
+    the nanoseconds beside them.
+
+    >>> columns = {"sec": np.array([7.0, 7.0, 8.0]), "nanosec": np.array([1e8, 9e8, 7e8]), "elbow": np.arange(3.0)}
+    >>> [*clocks_among(columns)], [*clocks_among(columns | {"nanosec": np.array([9e8, 1e8, 7e8])})]
+    (['sec', 'nanosec'], [])
+    """
+    known = {name for name, values in columns.items() if is_clock(name) or (may_be_clock(name) and _rises(values))}
+    for name, values in columns.items():
+        rest = _nanoseconds_beside(columns, name) if may_be_clock(name) and unit_of(name) == "s" else None
+        if rest and _rises(values + SECONDS["ns"] * columns[rest]):
+            known |= {name, rest}
+    return {name: values for name, values in columns.items() if name in known}
+
+
+def _rises(values: Float[np.ndarray, " T"]) -> bool:
+    """Whether it does at every step, of which there is one."""
+    return len(values) > 1 and bool((np.diff(values) > 0).all())
+
+
 @dataclass(frozen=True, eq=False)
 class Clock:
     """A column that tells when each row was taken."""
@@ -72,7 +96,7 @@ class Clock:
     times_s: Float[np.ndarray, " T"]
 
 
-def find_clock(columns: Mapping[str, Float[np.ndarray, " T"]], *, rate_hz: float | None) -> Clock | None:
+def find_clock(columns: Columns, *, rate_hz: float | None) -> Clock | None:
     """The first of these clocks that rises at every step; None where none does.
 
     Args:
@@ -84,17 +108,17 @@ def find_clock(columns: Mapping[str, Float[np.ndarray, " T"]], *, rate_hz: float
             continue
         unit = unit_of(name)
         rest = _nanoseconds_beside(columns, name) if unit == "s" else None
-        times_s = values * SECONDS[unit or unit_that_agrees(values, rate_hz)] + (0 if rest is None else rest)
-        if len(times_s) < 2 or (np.isfinite(times_s).all() and (np.diff(times_s) > 0).all()):
+        times_s = values * SECONDS[unit or unit_that_agrees(values, rate_hz)] + (SECONDS["ns"] * columns[rest] if rest else 0)
+        if len(times_s) < 2 or (np.isfinite(times_s).all() and _rises(times_s)):
             return Clock(name, times_s)
     return None
 
 
-def _nanoseconds_beside(columns: Mapping[str, Float[np.ndarray, " T"]], name: str) -> Float[np.ndarray, " T"] | None:
+def _nanoseconds_beside(columns: Columns, name: str) -> str | None:
     """ROS splits a time in two columns, `secs` and `nsecs`."""
     for other, values in columns.items():
         if unit_of(other) == "ns" and words_of(other)[:-1] == words_of(name)[:-1] and (values >= 0).all() and (values < 1e9).all():
-            return values * SECONDS["ns"]
+            return other
     return None
 
 

@@ -83,11 +83,11 @@ def _read(path: Path, names: tuple[str, ...]) -> tuple[Table, tuple[str, ...]]:
     """The table, or an empty one and the sentence on why it cannot be taken."""
     try:
         table = read_table(path)
-        if table.names != names:
+        if sorted(table.names) != sorted(names):
             raise ValueError(f"{path} has the joints {', '.join(table.names)}, the first episode {', '.join(names)}: give all the same")
     except ValueError as error:
         return Table(names, np.zeros((0, len(names))), {}), (str(error),)
-    return table, ()
+    return table.in_order(names), ()
 
 
 def _by_number(path: Path) -> list[str | int]:

@@ -30,8 +30,9 @@ LEAST_HALF = 2
 NO_POSITIONS = {
     *("vel", "velocity", "velocities", "speed", "qdot", "acc", "acceleration"),
     *("effort", "efforts", "torque", "torques", "force", "current", "load", "temperature", "voltage"),
+    *("reward", "rewards", "done", "success", "terminal", "terminated", "truncated"),
 }
-"""Words for what is measured of a joint beside its position."""
+"""Words for what is measured of a joint beside its position, and for what an environment says of a step."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +62,11 @@ def questions_about(names: Sequence[str], recordings: Sequence[Float[np.ndarray,
     joints = [name for name in others if name not in (called_so if beside else [])]
     why = "evenly in every episode, as a clock or a counter does"
     asked = [(rising, ("rises", "rise"), why), (falling, ("falls", "fall"), why)]
-    if joints and not beside:
+    if joints:
+        asked.append((beside, ("is no position", "are no positions"), "by name, and what is learned is commanded"))
         repeated, those = said_again(joints, [each[:, [name in joints for name in names]] for each in recordings])
         asked.append((repeated, ("goes", "go"), f"as {those} do, and what is learned is commanded"))
         joints = [name for name in joints if name not in repeated]
-    elif joints:
-        asked.append((beside, ("is no position", "are no positions"), "by name, and what is learned is commanded"))
     return [_question(columns, verbs[len(columns) > 1], why, joints) for columns, verbs, why in asked if columns]
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from preimage.data.clocks import Clock, find_clock, is_clock, may_be_clock, seconds_since_1970
+from preimage.data.clocks import Clock, Columns, clocks_among, find_clock, is_clock, seconds_since_1970
 from preimage.data.files import read_text
 
 SEPARATORS = ";", "\t", ","
@@ -31,8 +31,12 @@ class Table:
 
     names: tuple[str, ...]
     joints: Float[np.ndarray, "T J"]
-    clocks: dict[str, Float[np.ndarray, " T"]]
+    clocks: Columns
     """By name, in the order of the table."""
+
+    def in_order(self, names: tuple[str, ...]) -> "Table":
+        """The same with its joints in the order of these names."""
+        return Table(names, self.joints[:, [self.names.index(name) for name in names]], self.clocks)
 
     def clock(self, rate_hz: float | None) -> Clock | None:
         """The clock that tells when each row was taken, where there is one; `rate_hz` is the rate where it is known otherwise."""
@@ -55,11 +59,7 @@ def read_table(path: Path) -> Table:
         raise ValueError(f"{path} has the head {','.join(head)}: it should give each joint a name of its own")
     numbers = [_numbers(row, names, f"{path}, row {number}") for number, row in enumerate(rows, start=1)]
     table = np.array(numbers, np.float64).reshape(-1, len(names))  # and so where there is no row
-    clocks = {
-        name: table[:, column]
-        for column, name in enumerate(names)
-        if is_clock(name) or (may_be_clock(name) and len(table) > 1 and (np.diff(table[:, column]) > 0).all())
-    }
+    clocks = clocks_among(dict(zip(names, table.T, strict=True)))
     joints = [column for column, name in enumerate(names) if name not in clocks]
     if not joints:
         raise ValueError(f"{path} has the head {','.join(head)}: it should give each joint a name of its own")
