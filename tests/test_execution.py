@@ -94,6 +94,14 @@ def test_a_true_plan_succeeds(arm, demonstration):
     np.testing.assert_allclose(forward_kinematics(trial.joints[:, :4]), trial.end_effector_m, atol=1e-3)
 
 
+def test_without_a_film_the_same_happens(arm, demonstration):
+    filmed, unseen = (execute(plan_of(demonstration), arm, demonstration.scene, filmed=filmed) for filmed in (True, False))
+    assert unseen.frames.shape == (0, *filmed.frames.shape[1:])
+    np.testing.assert_array_equal(unseen.joints, filmed.joints)
+    np.testing.assert_array_equal(unseen.end_effector_m, filmed.end_effector_m)
+    assert (unseen.success, unseen.deviation_m, unseen.details) == (filmed.success, filmed.deviation_m, filmed.details)
+
+
 def test_execution_ends_at_the_arrival_step(arm, shown):
     demonstration = shown["reach"]
     trial = execute(plan_of(demonstration, arrival_step=5), arm, demonstration.scene)

@@ -296,7 +296,8 @@ class Plan:
 class Trial:
     """One execution: what the robot sensed step by step, and how the task judged the course of it."""
 
-    frames: UInt8[np.ndarray, "T H W C"]
+    frames: UInt8[np.ndarray, "F H W C"]
+    """One a step, as the joints; none where it was not filmed."""
     joints: Float[np.ndarray, "T J"]
     end_effector_m: Float[np.ndarray, "T 3"]
     deviation_m: float

@@ -159,18 +159,18 @@ def baselines_of(
     shown: Sequence[Shown],
     policies: Policies,
 ) -> Iterator[tuple[str, Trial]]:
-    """What would have been reached otherwise."""
+    """What would have been reached otherwise; of blind ones nobody looks at a film."""
     scene, num_steps = demonstration.scene, len(found)
     assert scene is not None
-    yield "do_nothing", play(demonstration.joints[:1], demonstration.rate_hz, arm, scene, task=task)
+    yield "do_nothing", play(demonstration.joints[:1], demonstration.rate_hz, arm, scene, task=task, filmed=False)
     nearest = nearest_shown(shown, demonstration.last)
-    yield "nearest_demonstration", play(nearest.joints, nearest.rate_hz, arm, scene, task=task)
+    yield "nearest_demonstration", play(nearest.joints, nearest.rate_hz, arm, scene, task=task, filmed=False)
     if found.expected_joints is not None:
         assert planner.memory is not None
         gripper = planner.memory.event_joint if len(found.expected_joints) > 1 else None
         straight = straight_through(np.vstack([demonstration.joints[:1], found.expected_joints]), num_steps, gripper=gripper)
-        yield "memory_alone", play(straight, found.rate_hz, arm, scene, task=task)
-    yield "prior_mean", execute(planner.imagine_without_goal(demonstration.first), arm, scene, task=task)
+        yield "memory_alone", play(straight, found.rate_hz, arm, scene, task=task, filmed=False)
+    yield "prior_mean", execute(planner.imagine_without_goal(demonstration.first), arm, scene, task=task, filmed=False)
     for name, policy_to in policies.items():
         policy = policy_to(Percept(demonstration.last.frame))
         yield name, execute_open_loop(policy, arm, scene, num_steps=num_steps - 1, rate_hz=found.rate_hz, task=task)

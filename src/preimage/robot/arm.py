@@ -184,14 +184,18 @@ class Arm:
         mujoco.mj_forward(self._model, self._data)
 
     def sense(self) -> Percept:
-        """What camera and joint encoders sense now.
+        """What camera and joint encoders sense now."""
+        return Percept(self._renderer.frame(self._data), self.feel())
+
+    def feel(self) -> Float[np.ndarray, " J"]:
+        """What the joint encoders sense now (rad; gripper: m), without a look through the camera, which takes most of the time.
 
         The gripper is sensed as it was commanded. Fingers that hold the object stand at its width while the command is 0: a plan made of
         what the fingers measured would command that width, and drop the object.
         """
         sensed = self._data.ctrl[self._actuators].copy()
         sensed[: len(ACTIVE_JOINTS)] = self._data.qpos[self._positions]
-        return Percept(self._renderer.frame(self._data), sensed)
+        return sensed
 
     def seen_by(self, camera: Camera) -> UInt8[np.ndarray, "H W 1"]:
         """What another camera than the robot's own sees now."""

@@ -22,11 +22,12 @@ Policy = Callable[[Percept], Float[np.ndarray, " J"]]
 """What to command for the next step (rad; gripper: m), given what is sensed now."""
 
 
-def execute(plan: Plan, arm: Arm, scene: Scene, *, task: Task | None = None) -> Trial:
+def execute(plan: Plan, arm: Arm, scene: Scene, *, task: Task | None = None, filmed: bool = True) -> Trial:
     """Play the plan's joints up to its arrival step without looking, and judge what happened.
 
     Args:
         task: by default the one that the scene names, seen in the default frames.
+        filmed: whether the trial holds what the camera saw, which takes as long as a plan.
 
     Raises:
         ValueError: the plan is for other joints than the task's, or the scene is of a task that is not known.
@@ -35,19 +36,22 @@ def execute(plan: Plan, arm: Arm, scene: Scene, *, task: Task | None = None) -> 
     arm.set_up(task.workspace)
     if plan.joint_names != arm.joint_names:
         raise ValueError(f"the plan moves {', '.join(plan.joint_names)}, {task.name} needs {', '.join(arm.joint_names)}")
-    return play(plan.joints[: plan.arrival_step + 1], plan.rate_hz, arm, scene, task=task)
+    return play(plan.joints[: plan.arrival_step + 1], plan.rate_hz, arm, scene, task=task, filmed=filmed)
 
 
-def play(joints: Float[np.ndarray, "T J"], rate_hz: float, arm: Arm, scene: Scene, *, task: Task | None = None) -> Trial:
+def play(
+    joints: Float[np.ndarray, "T J"], rate_hz: float, arm: Arm, scene: Scene, *, task: Task | None = None, filmed: bool = True
+) -> Trial:
     """Lay out the scene and bring the arm through the joints (rad; gripper: m), one row a step; the first row is where it stands already.
 
     Args:
         task: by default the one that the scene names, seen in the default frames.
+        filmed: whether the trial holds what the camera saw.
 
     Raises:
         ValueError: the scene is of a task that is not known.
     """
-    stage = Stage(task or task_of(scene), arm, scene)
+    stage = Stage(task or task_of(scene), arm, scene, filmed=filmed)
     from_here = np.vstack([np.array(scene.start_joints), joints[1:]])
     commands, limited = within_limits(from_here, limits_of(arm), period_s=1 / rate_hz)
     for command in commands[1:]:
@@ -127,14 +131,18 @@ def limits_of(arm: Arm) -> Limits:
 
 
 class Stage:
-    """A scene laid out for one trial, in which everything that happens is written down."""
+    """A scene laid out for one trial, in which everything that happens is written down.
 
-    def __init__(self, task: Task, arm: Arm, scene: Scene) -> None:
+    Args:
+        filmed: whether what the camera sees is written down too; without, percepts have no frame.
+    """
+
+    def __init__(self, task: Task, arm: Arm, scene: Scene, *, filmed: bool = True) -> None:
         arm.set_up(task.workspace)
         validate_scene(scene, task, arm)
         task.lay_out(arm, scene)
-        self._task, self._arm, self.scene = task, arm, scene
-        self._percepts, self.course = [arm.sense()], [arm.ground_truth()]
+        self._task, self._arm, self.scene, self._filmed = task, arm, scene, filmed
+        self._percepts, self.course = [self._sense()], [arm.ground_truth()]
 
     @property
     def percept(self) -> Percept:
@@ -144,8 +152,11 @@ class Stage:
     def move(self, command: Float[np.ndarray, " J"], seconds: float) -> None:
         """Move the arm to the command, and keep what it senses then."""
         self._arm.move(command, seconds)
-        self._percepts.append(self._arm.sense())
+        self._percepts.append(self._sense())
         self.course.append(self._arm.ground_truth())
+
+    def _sense(self) -> Percept:
+        return self._arm.sense() if self._filmed else Percept(joints=self._arm.feel())
 
     @property
     def true_joints(self) -> Float[np.ndarray, " J"]:
@@ -157,7 +168,7 @@ class Stage:
     def disturb(self, happens: Callable[[], object]) -> None:
         """Let something happen to arm or scene; this moment is the one after it."""
         happens()
-        self._percepts[-1], self.course[-1] = self._arm.sense(), self._arm.ground_truth()
+        self._percepts[-1], self.course[-1] = self._sense(), self._arm.ground_truth()
 
     def judge(self) -> Judgement:
         """How the task judges the course so far."""
@@ -166,9 +177,10 @@ class Stage:
     def finish(self, command: Float[np.ndarray, " J"], limited: tuple[str, ...]) -> Trial:
         """Let the arm come to rest at the last command, and let the task judge the whole course."""
         self.move(command, SETTLE_S)
-        judgement = self.judge()
+        judgement, camera = self.judge(), self._task.workspace.camera
+        frames = [percept.frame for percept in self._percepts if percept.frame is not None]
         return Trial(
-            frames=np.array([percept.frame for percept in self._percepts]),
+            frames=np.array(frames, np.uint8).reshape(-1, camera.height, camera.width, 1),
             joints=np.array([percept.joints for percept in self._percepts]),
             end_effector_m=np.array([moment.end_effector_m for moment in self.course]),
             deviation_m=judgement.deviation_m,
