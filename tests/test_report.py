@@ -1,5 +1,6 @@
 """Films, figures and the page: what is written can be read back and shows what it should."""
 
+import dataclasses
 import doctest
 import json
 from fractions import Fraction
@@ -65,6 +66,15 @@ def test_mp4_decodes_to_every_step_of_the_longer_film_and_one_second_more(tmp_pa
     pictures = decode(film(plan, make_trial(plan), tmp_path / "a.mp4"))
     assert len(pictures) == 10 + 10
     assert pictures.shape[1:3] == (256 + 32 + 36, 3 * 256 + 4 * 16)
+
+
+@pytest.mark.parametrize(("show", "name"), [(film, "a.mp4"), (figure, "a.png")])
+def test_a_trial_that_was_not_filmed_is_refused(tmp_path, show, name):
+    plan = make_plan()
+    trial = dataclasses.replace(make_trial(plan), frames=np.zeros((0, 64, 64, 1), np.uint8))
+    with pytest.raises(ValueError, match="the trial was not filmed: execute the plan anew, with filmed=True"):
+        show(plan, trial, tmp_path / name)
+    assert not list(tmp_path.iterdir())
 
 
 def test_mp4_is_h264_in_yuv420p_at_the_plans_rate(tmp_path):

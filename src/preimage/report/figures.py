@@ -20,7 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from preimage.records import Plan, Trial, Verdict
-from preimage.report.films import as_rgb
+from preimage.report.films import as_rgb, validate_filmed
 from preimage.storage.atomic_write import atomic_write
 
 NUM_COLUMNS = 8
@@ -66,7 +66,11 @@ def figure(
         joint_unit: the unit of all joints, where the data give one (`storage.runs.read_body`).
         commands: what the robot is to be sent, drawn over what is imagined (`robot.limits.commands_of`).
         commands_hz: rows a second of the commands; by default the plan's.
+
+    Raises:
+        ValueError: the trial was not filmed.
     """
+    validate_filmed(trial)
     if commands is not None:
         sent = _Overlay("commanded", commands, commands_hz or plan.rate_hz)
     else:

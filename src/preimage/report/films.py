@@ -32,6 +32,12 @@ BACKGROUND, INK, MUTED, TRACK = "#15181e", "#f2f4f7", "#9aa4b2", "#2b313b"
 GOAL, IMAGINED, EXECUTED, SUCCESS, FAILURE = "#f2b84b", "#6cb2ff", "#c7a6ff", "#5fd38d", "#ff7b72"
 
 
+def validate_filmed(trial: Trial | None) -> None:
+    """Raises ValueError where there is a trial without frames."""
+    if trial is not None and not len(trial.frames):
+        raise ValueError("the trial was not filmed: execute the plan anew, with filmed=True")
+
+
 def as_rgb(frame: Shaped[np.ndarray, "H W C"]) -> UInt8[np.ndarray, "H W 3"]:
     """The frame in colour: its first three channels where it has three or more, else its first one as grey."""
     channels = frame[..., :3] if frame.shape[-1] >= 3 else frame[..., :1]
@@ -83,8 +89,9 @@ def film(plan: Plan, trial: Trial | None, path: str | os.PathLike[str], *, recor
         path: ends in `.mp4` (H.264, plays in browsers) or `.gif`; missing folders are made.
 
     Raises:
-        ValueError: the path ends in something else.
+        ValueError: the path ends in something else, or the trial was not filmed.
     """
+    validate_filmed(trial)
     path = Path(path)
     write = _WRITERS.get(path.suffix.lower())
     if write is None:
