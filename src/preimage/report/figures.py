@@ -5,18 +5,20 @@ Only matplotlib's object interface is used: no pyplot, so no backend is chosen f
 
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import matplotlib
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from preimage.records import Plan, Trial, Verdict
@@ -25,6 +27,8 @@ from preimage.storage.atomic_write import atomic_write
 
 NUM_COLUMNS = 8
 """Frames shown of a sequence, evenly spaced up to arrival."""
+GAP = 0.06
+"""Between two frames, in widths of a frame."""
 WIDTH_INCHES, DOTS_PER_INCH = 10.0, 130
 INK, MUTED, ARRIVAL, SUCCESS, FAILURE = "#1c2430", "#66707d", "#c47f00", "#12804a", "#c0322b"
 
@@ -87,7 +91,7 @@ def figure(
     drawing = sheet(total)
     _draw_title(drawing, plan, trial, total)
     upper = GridSpec(
-        num_rows, NUM_COLUMNS, drawing, left=0.1, right=0.98, wspace=0.06, hspace=0.24 / row_inches,
+        num_rows, 1, drawing, left=0.1, right=0.98, hspace=0.24 / row_inches,
         top=1 - head_inches / total, bottom=1 - (head_inches + frames_inches) / total,
     )  # fmt: skip
     _draw_frames(drawing, upper, plan, trial)
@@ -150,31 +154,35 @@ def _draw_title(drawing: Figure, plan: Plan, trial: Trial | None, total_inches: 
 
 def _draw_frames(drawing: Figure, grid: GridSpec, plan: Plan, trial: Trial | None) -> None:
     steps = np.unique(np.linspace(0, plan.arrival_step, NUM_COLUMNS).round().astype(int))
-    first = drawing.add_subplot(grid[0, 0])
-    draw_frame(first, plan.start.frame, "initial")
-    _name_row(first, "given")
-    draw_frame(drawing.add_subplot(grid[0, max(1, len(steps) - 1)]), plan.goal.frame, "goal")
-    _draw_sequence(drawing, grid, 1, "imagined", plan.frames, steps, plan.rate_hz)
+    size = plan.frames.shape[1:3]
+    _draw_row(
+        drawing.add_subplot(grid[0]), "given", {0: (plan.start.frame, "initial"), max(1, len(steps) - 1): (plan.goal.frame, "goal")}, size
+    )
+    rows = [("imagined", plan.frames, steps)]
     if trial is not None:
         seen = np.minimum(steps, len(trial.frames) - 1)
         seen[-1] = len(trial.frames) - 1  # the column of the arrival shows how the execution ended
-        _draw_sequence(drawing, grid, 2, "executed", trial.frames, seen, plan.rate_hz)
+        rows.append(("executed", trial.frames, seen))
+    for row, (name, frames, steps) in enumerate(rows, start=1):
+        shown = {column: (frames[step], f"{step / plan.rate_hz:.1f} s") for column, step in enumerate(steps)}
+        _draw_row(drawing.add_subplot(grid[row]), name, shown, size)
 
 
-def _draw_sequence(
-    drawing: Figure,
-    grid: GridSpec,
-    row: int,
-    name: str,
-    frames: Shaped[np.ndarray, "T H W C"],
-    steps: Int[np.ndarray, " N"],
-    rate_hz: float,
-) -> None:
-    for column, step in enumerate(steps):
-        axes = drawing.add_subplot(grid[row, column])
-        draw_frame(axes, frames[step], f"{step / rate_hz:.1f} s")
-        if column == 0:
-            _name_row(axes, name)
+def _draw_row(axes: Axes, name: str, shown: Mapping[int, tuple[Shaped[np.ndarray, "H W C"] | None, str]], size: tuple[int, int]) -> None:
+    """Frames and captions by column, all in one pair of axes: to make axes takes longer than to draw in them."""
+    height, width = size
+    for column, (frame, caption) in shown.items():
+        left = column * (1 + GAP) * width
+        if frame is None:
+            axes.text(left + width / 2, height / 2, "no image", ha="center", va="center", fontsize=9, color=MUTED)
+        else:
+            axes.imshow(as_rgb(frame), interpolation="nearest", extent=(left, left + width, height, 0))
+        axes.add_patch(Rectangle((left, 0), width, height, fill=False, edgecolor="#c3cad2", linewidth=0.8, clip_on=False))
+        below = {"xytext": (0, -3), "textcoords": "offset points", "ha": "center", "va": "top"}
+        axes.annotate(caption, (left + width / 2, height), fontsize=9, color=INK, annotation_clip=False, **below)
+    axes.set(xticks=[], yticks=[], xlim=(0, (NUM_COLUMNS * (1 + GAP) - GAP) * width), ylim=(height, 0), aspect="equal", anchor="NW")
+    axes.spines[:].set_visible(False)
+    axes.set_ylabel(name, fontsize=10.5, weight="bold", color=INK, labelpad=6)
 
 
 def draw_frame(axes: Axes, frame: Shaped[np.ndarray, "H W C"] | None, caption: str) -> None:
@@ -186,10 +194,6 @@ def draw_frame(axes: Axes, frame: Shaped[np.ndarray, "H W C"] | None, caption: s
     else:
         axes.imshow(as_rgb(frame), interpolation="nearest")
     axes.set_xlabel(caption, fontsize=9, color=INK, labelpad=2)
-
-
-def _name_row(axes: Axes, name: str) -> None:
-    axes.set_ylabel(name, fontsize=10.5, weight="bold", color=INK, labelpad=6)
 
 
 def _strips(joint_names: tuple[str, ...], joint_unit: str | None, *, executed: bool) -> list[_Strip]:
