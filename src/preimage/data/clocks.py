@@ -84,7 +84,7 @@ def clocks_among(columns: Columns) -> Columns:
 
 
 def _rises(values: Float[np.ndarray, " T"]) -> bool:
-    """Whether it does at every step, of which there is one."""
+    """Whether it rises at every step; a single value does not."""
     return len(values) > 1 and bool((np.diff(values) > 0).all())
 
 
