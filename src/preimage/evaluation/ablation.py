@@ -144,7 +144,7 @@ def rows_of(cell: Cell, variant: Variant, loop: Loop, trained: Planner, goals: S
     arm, began, rows = Arm(), time.perf_counter(), list[dict[str, Any]]()
     for goal, demonstration in enumerate(goals):
         found = planner.plan(start=demonstration.first, goal=goal_of(demonstration, planner))
-        trial = carry_out(planner, found, arm, cell.filmed, demonstration, loop)
+        trial = carry_out(planner, found, arm, cell.filmed, demonstration, loop, filmed=False)
         moved = {"success": trial.success, "deviation_cm": round(100 * trial.deviation_m, 3)}
         searched = {"error": found.error, "seconds": round(found.seconds, 3), "iterations": len(found.errors)}
         rows.append({"seed": cell.seed, "goal": goal} | moved | searched)

@@ -136,16 +136,18 @@ def evaluate(
     return group.gather(evaluated)
 
 
-def carry_out(planner: Planner, found: Plan, arm: Arm, task: Task, demonstration: Demonstration, loop: Loop) -> Trial:
-    """Execute a plan in one of the loops."""
+def carry_out(
+    planner: Planner, found: Plan, arm: Arm, task: Task, demonstration: Demonstration, loop: Loop, *, filmed: bool = True
+) -> Trial:
+    """Execute a plan in one of the loops, filmed or, where the loop is blind, not."""
     assert demonstration.scene is not None
     if loop == "closed":
-        return execute(found, arm, demonstration.scene, task=task)
+        return execute(found, arm, demonstration.scene, task=task, filmed=filmed)
     policy = planner.follow(found)
     if loop == "recorded":
         recorded = at_rate(demonstration, found.rate_hz)
         joints = np.stack([recorded.joints[0], *(policy(recorded[step]) for step in range(len(recorded) - 1))])
-        return play(joints, found.rate_hz, arm, demonstration.scene, task=task)
+        return play(joints, found.rate_hz, arm, demonstration.scene, task=task, filmed=filmed)
     num_steps = len(found) - 1
     return execute_open_loop(policy, arm, demonstration.scene, num_steps=num_steps, rate_hz=found.rate_hz, task=task)
 

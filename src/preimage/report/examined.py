@@ -14,7 +14,7 @@ from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 
 from preimage.examination import CameraMove, Examination, Finding, Kind, Seen, Severity
 from preimage.records import number_of
-from preimage.report.figures import ARRIVAL, FAILURE, INK, MUTED, WIDTH_INCHES, draw_frame, quiet, sheet
+from preimage.report.figures import ARRIVAL, FAILURE, INK, MUTED, WIDTH_INCHES, draw_row, quiet, sheet
 from preimage.report.films import as_rgb
 from preimage.report.pages import document
 from preimage.storage.atomic_write import atomic_write
@@ -131,16 +131,16 @@ def _moves(shown: Sequence[Seen], moves: Sequence[CameraMove]) -> Figure:
     height, width = shown[0].background.shape
     inches = WIDTH_INCHES / MOST_MOVES * height / width + 0.25
     drawing = sheet(3 * inches)
-    spacing = {"left": 0.005, "right": 0.995, "top": 0.995, "bottom": 0.22 / (3 * inches), "hspace": 0.17, "wspace": 0.05}
-    axes = drawing.subplots(3, MOST_MOVES, squeeze=False, gridspec_kw=spacing)
-    for axis in axes[:, len(largest) :].ravel():
-        axis.axis("off")
+    spacing = {"left": 0.005, "right": 0.995, "top": 0.995, "bottom": 0.22 / (3 * inches), "hspace": 0.17}
+    rows: list[dict[int, tuple[np.ndarray, str]]] = [{}, {}, {}]
     for column, move in enumerate(largest):
         before, after = (by_index[index].background for index in (move.before, move.after))
         words = f"shifted {move.shift[0]:+d} down, {move.shift[1]:+d} right" if move.shift else "another view"
         pictures = ((before, f"episode {move.before}"), (after, f"episode {move.after}"), (np.abs(after - before), words))
-        for row, (picture, caption) in enumerate(pictures):
-            draw_frame(axes[row, column], picture.astype(np.uint8)[..., None], caption)
+        for row, (picture, caption) in zip(rows, pictures, strict=True):
+            row[column] = picture.astype(np.uint8)[..., None], caption
+    for axes, row in zip(drawing.subplots(3, 1, gridspec_kw=spacing), rows, strict=True):
+        draw_row(axes, row, (height, width), columns=MOST_MOVES)
     return drawing
 
 

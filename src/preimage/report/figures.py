@@ -12,7 +12,7 @@ from typing import Literal
 
 import matplotlib
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Int, Shaped
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -31,6 +31,9 @@ GAP = 0.06
 """Between two frames, in widths of a frame."""
 WIDTH_INCHES, DOTS_PER_INCH = 10.0, 130
 INK, MUTED, ARRIVAL, SUCCESS, FAILURE = "#1c2430", "#66707d", "#c47f00", "#12804a", "#c0322b"
+
+Shown = Mapping[int, tuple[Shaped[np.ndarray, "H W C"] | None, str]]
+"""Frame and caption by column."""
 
 
 @dataclass(frozen=True)
@@ -154,22 +157,29 @@ def _draw_title(drawing: Figure, plan: Plan, trial: Trial | None, total_inches: 
 
 def _draw_frames(drawing: Figure, grid: GridSpec, plan: Plan, trial: Trial | None) -> None:
     steps = np.unique(np.linspace(0, plan.arrival_step, NUM_COLUMNS).round().astype(int))
-    size = plan.frames.shape[1:3]
-    _draw_row(
-        drawing.add_subplot(grid[0]), "given", {0: (plan.start.frame, "initial"), max(1, len(steps) - 1): (plan.goal.frame, "goal")}, size
-    )
-    rows = [("imagined", plan.frames, steps)]
+    given = {0: (plan.start.frame, "initial"), max(1, len(steps) - 1): (plan.goal.frame, "goal")}
+    rows = {"given": given, "imagined": _at(steps, plan.frames, plan.rate_hz)}
     if trial is not None:
         seen = np.minimum(steps, len(trial.frames) - 1)
         seen[-1] = len(trial.frames) - 1  # the column of the arrival shows how the execution ended
-        rows.append(("executed", trial.frames, seen))
-    for row, (name, frames, steps) in enumerate(rows, start=1):
-        shown = {column: (frames[step], f"{step / plan.rate_hz:.1f} s") for column, step in enumerate(steps)}
-        _draw_row(drawing.add_subplot(grid[row]), name, shown, size)
+        rows["executed"] = _at(seen, trial.frames, plan.rate_hz)
+    for row, (name, shown) in enumerate(rows.items()):
+        axes = drawing.add_subplot(grid[row])
+        draw_row(axes, shown, plan.frames.shape[1:3], columns=NUM_COLUMNS)
+        axes.set_ylabel(name, fontsize=10.5, weight="bold", color=INK, labelpad=6)
 
 
-def _draw_row(axes: Axes, name: str, shown: Mapping[int, tuple[Shaped[np.ndarray, "H W C"] | None, str]], size: tuple[int, int]) -> None:
-    """Frames and captions by column, all in one pair of axes: to make axes takes longer than to draw in them."""
+def _at(steps: Int[np.ndarray, " N"], frames: Shaped[np.ndarray, "T H W C"], rate_hz: float) -> Shown:
+    return {column: (frames[step], f"{step / rate_hz:.1f} s") for column, step in enumerate(steps)}
+
+
+def draw_row(axes: Axes, shown: Shown, size: tuple[int, ...], *, columns: int) -> None:
+    """Frames and captions in one pair of axes: to make axes takes longer than to draw in them.
+
+    Args:
+        size: height and width of the frames.
+        columns: for how many there is room.
+    """
     height, width = size
     for column, (frame, caption) in shown.items():
         left = column * (1 + GAP) * width
@@ -180,20 +190,8 @@ def _draw_row(axes: Axes, name: str, shown: Mapping[int, tuple[Shaped[np.ndarray
         axes.add_patch(Rectangle((left, 0), width, height, fill=False, edgecolor="#c3cad2", linewidth=0.8, clip_on=False))
         below = {"xytext": (0, -3), "textcoords": "offset points", "ha": "center", "va": "top"}
         axes.annotate(caption, (left + width / 2, height), fontsize=9, color=INK, annotation_clip=False, **below)
-    axes.set(xticks=[], yticks=[], xlim=(0, (NUM_COLUMNS * (1 + GAP) - GAP) * width), ylim=(height, 0), aspect="equal", anchor="NW")
+    axes.set(xticks=[], yticks=[], xlim=(0, (columns * (1 + GAP) - GAP) * width), ylim=(height, 0), aspect="equal", anchor="NW")
     axes.spines[:].set_visible(False)
-    axes.set_ylabel(name, fontsize=10.5, weight="bold", color=INK, labelpad=6)
-
-
-def draw_frame(axes: Axes, frame: Shaped[np.ndarray, "H W C"] | None, caption: str) -> None:
-    axes.set(xticks=[], yticks=[])
-    for spine in axes.spines.values():
-        spine.set(color="#c3cad2", linewidth=0.8)
-    if frame is None:
-        axes.text(0.5, 0.5, "no image", transform=axes.transAxes, ha="center", va="center", fontsize=9, color=MUTED)
-    else:
-        axes.imshow(as_rgb(frame), interpolation="nearest")
-    axes.set_xlabel(caption, fontsize=9, color=INK, labelpad=2)
 
 
 def _strips(joint_names: tuple[str, ...], joint_unit: str | None, *, executed: bool) -> list[_Strip]:
